@@ -1,0 +1,1 @@
+"""jaxir: differentiable infrared radiometry of aircraft skin and exhaust plumes, in JAX."""

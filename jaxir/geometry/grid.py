@@ -1,0 +1,47 @@
+"""A regular grid of cells and the walk of a ray through it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, finite, positive, require_shape
+
+
+class Grid(eqx.Module):
+    """A box of equal cells, axes along the scene's axes.
+
+    Attributes:
+        origin: corner of cell (0, 0, 0) with the smallest coordinates [3] [m].
+        spacing: cell size along x, y, z [3] [m].
+        shape: number of cells along x, y, z.
+    """
+
+    origin: Float[Array, " 3"]
+    spacing: Float[Array, " 3"]
+    shape: tuple[int, int, int] = eqx.field(static=True)
+
+    def __init__(self, origin: Any, spacing: Any, shape: tuple[int, int, int]):
+        self.origin = as_float(origin, "Grid.origin")
+        self.spacing = as_float(spacing, "Grid.spacing")
+        require_shape("Grid.origin", self.origin, (3,))
+        require_shape("Grid.spacing", self.spacing, (3,))
+        if len(shape) != 3 or min(shape) < 1:
+            raise ValueError(f"Grid.shape: got {tuple(shape)}, expected three numbers of cells >= 1")
+        self.shape = (int(shape[0]), int(shape[1]), int(shape[2]))
+
+    def centres(self) -> Float[Array, "nx ny nz 3"]:
+        """Cell centres [nx, ny, nz, 3] [m]."""
+        import jax.numpy as jnp
+
+        axes = [
+            self.origin[a] + self.spacing[a] * (as_float(jnp.arange(n)) + 0.5)
+            for a, n in enumerate(self.shape)
+        ]
+        return jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
+
+    def checks(self) -> list[Check]:
+        """The corner is finite, cells have positive size."""
+        return [finite("Grid.origin", self.origin), positive("Grid.spacing", self.spacing)]

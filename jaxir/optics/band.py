@@ -1,0 +1,144 @@
+"""Spectral bands and the nodes on which every spectral quantity lives.
+
+A node is one (bin, g) pair: a wavenumber bin, a place in the cumulative distribution of the absorption coefficient
+inside it, and a quadrature weight. Radiance at a node is integrated over the node's bin, so the in-band radiance is
+
+    L_band = sum_node response[band, node] * weight[node] * L_node,
+
+and a gray band is one node of weight 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxir._arrays import as_float, float_dtype
+
+SECOND_RADIATION = 1.4387768775039337  # c2 = h c / k [cm K], exact since 2019 (CODATA 2018)
+
+
+class Band(eqx.Module):
+    """A wavelength interval with a name.
+
+    Attributes:
+        name: how results are labelled.
+        lower: shorter wavelength [um].
+        upper: longer wavelength [um].
+    """
+
+    name: str = eqx.field(static=True)
+    lower: float = eqx.field(static=True)
+    upper: float = eqx.field(static=True)
+
+    def __check_init__(self):
+        if not (math.isfinite(self.lower) and math.isfinite(self.upper) and 0 < self.lower < self.upper):
+            raise ValueError(
+                f"Band {self.name!r}: got edges {self.lower}, {self.upper} um, expected 0 < lower < upper, finite"
+            )
+
+
+SWIR = Band("SWIR", 1.0, 3.0)
+MWIR = Band("MWIR", 3.0, 5.0)
+LWIR = Band("LWIR", 8.0, 12.0)
+
+
+class Nodes(eqx.Module):
+    """The spectral axis of a computation.
+
+    Attributes:
+        lower: lower wavenumber edge of each node's bin [node] [cm-1].
+        upper: upper wavenumber edge [node] [cm-1].
+        edge: c2 * (lower, upper) as a leading part and a remainder [node, 2, 2] [K]; the remainder keeps the
+            exponent of Planck's law right in float32.
+        g: quantiles in the distribution of the absorption coefficient [node, 2] (two, because two gases overlap
+            independently); 1/2 for a gray node.
+        weight: quadrature weight of the node inside its bin [node]; sums to 1 over a bin.
+        response: sensor response of each band at each node [band, node]; 0 outside the band.
+        names: band labels.
+    """
+
+    lower: Float[Array, " node"]
+    upper: Float[Array, " node"]
+    edge: Float[Array, "node 2 2"]
+    g: Float[Array, "node 2"]
+    weight: Float[Array, " node"]
+    response: Float[Array, "band node"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return self.weight.shape[0]
+
+    def in_band(self, radiance: Float[Array, "*batch node"]) -> Float[Array, "*batch band"]:
+        """Sum node radiances [W m-2 sr-1] into bands. Differentiable in `radiance`."""
+        return radiance @ (self.response * self.weight[None, :]).T
+
+
+def build_nodes(
+    lower: np.ndarray,
+    upper: np.ndarray,
+    g: np.ndarray,
+    weight: np.ndarray,
+    response: np.ndarray,
+    names: Sequence[str],
+) -> Nodes:
+    """Assemble `Nodes` from host arrays in double precision (shapes as in `Nodes`; edges in cm-1)."""
+    exact = SECOND_RADIATION * np.stack([lower, upper], axis=-1).astype(np.float64)
+    leading = exact.astype(float_dtype())
+    remainder = exact - leading.astype(np.float64)
+    return Nodes(
+        lower=as_float(lower),
+        upper=as_float(upper),
+        edge=as_float(np.stack([leading.astype(np.float64), remainder], axis=-1)),
+        g=as_float(g),
+        weight=as_float(weight),
+        response=as_float(response),
+        names=tuple(names),
+    )
+
+
+def gray_nodes(bands: Sequence[Band]) -> Nodes:
+    """One node per band: for gray surfaces and gray media nothing more is needed.
+
+    Args:
+        bands: at least one band; they may overlap.
+
+    Returns:
+        Nodes with one node per band, weight 1, response 1 in its own band.
+
+    Raises:
+        ValueError: no band, or something that is not a `Band`.
+    """
+    bands = tuple(bands)
+    if not bands or not all(isinstance(band, Band) for band in bands):
+        raise ValueError(f"bands: got {bands!r}, expected at least one Band, e.g. (jaxir.MWIR, jaxir.LWIR)")
+    count = len(bands)
+    return build_nodes(
+        lower=np.array([1e4 / band.upper for band in bands]),
+        upper=np.array([1e4 / band.lower for band in bands]),
+        g=np.full((count, 2), 0.5),
+        weight=np.ones(count),
+        response=np.eye(count),
+        names=[band.name for band in bands],
+    )
+
+
+def as_nodes(bands: Nodes | Band | Sequence[Band]) -> Nodes:
+    """`bands` as nodes: `Nodes` pass through, bands become gray nodes."""
+    if isinstance(bands, Nodes):
+        return bands
+    if isinstance(bands, Band):
+        return gray_nodes((bands,))
+    return gray_nodes(bands)
+
+
+def wavelength_to_wavenumber(wavelength: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Wavenumber [cm-1] of a vacuum wavelength [um]: 1e4 / wavelength."""
+    return jnp.asarray(1e4, wavelength.dtype) / wavelength

@@ -1,0 +1,59 @@
+"""Absorbing gases: from the state of a cell to an absorption coefficient per node."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, non_negative
+from jaxir.optics.band import Nodes
+
+
+class AbstractGas(eqx.Module):
+    """A gas: absorption coefficient per node as a function of temperature and of the gas's own fields."""
+
+    @abc.abstractmethod
+    def absorption(self, nodes: Nodes, temperature: Float[Array, "*cell"]) -> Float[Array, "*cell node"]:
+        """Absorption coefficient [*cell, node] [m-1] at `temperature` [*cell] [K]."""
+
+    @abc.abstractmethod
+    def checks(self) -> list[Check]:
+        """What must hold of the fields' values."""
+
+
+class GrayGas(AbstractGas):
+    """A gas whose absorption coefficient is given, whatever its temperature.
+
+    Attributes:
+        coefficient: absorption coefficient [m-1]; shape [*cell, node], where the node axis may have length 1 (the
+            same in every node) and the cell axes may be absent (the same in every cell).
+
+    Differentiable in `coefficient`.
+    """
+
+    coefficient: Float[Array, "..."]
+
+    def __init__(self, coefficient: Any):
+        value = as_float(coefficient, "GrayGas.coefficient")
+        self.coefficient = value[None] if value.ndim == 0 else value
+
+    def absorption(self, nodes: Nodes, temperature: Float[Array, "*cell"]) -> Float[Array, "*cell node"]:
+        """See `AbstractGas.absorption`; independent of temperature."""
+        value = self.coefficient
+        shape = temperature.shape + (nodes.count,)
+        cells, node = value.shape[:-1], value.shape[-1]
+        if cells not in ((), temperature.shape) or node not in (1, nodes.count):
+            raise ValueError(
+                f"GrayGas.coefficient: got shape {value.shape}, expected [*cell, node] with cells "
+                f"{temperature.shape} (or none) and {nodes.count} nodes (or 1)"
+            )
+        spread = value.reshape((1,) * (len(shape) - value.ndim) + value.shape)
+        return jnp.broadcast_to(spread, shape)
+
+    def checks(self) -> list[Check]:
+        """Coefficients are finite and >= 0."""
+        return [non_negative("GrayGas.coefficient", self.coefficient)]

@@ -1,0 +1,25 @@
+"""Strict settings for every test: types checked at run time, strict promotion, both precisions."""
+
+import jax
+import pytest
+from jaxtyping import install_import_hook
+
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+with install_import_hook("jaxir", "beartype.beartype"):
+    import jaxir  # noqa: F401
+
+
+@pytest.fixture(params=["float32", "float64"])
+def precision(request):
+    """Run the test in single and in double precision; the value is the dtype's name."""
+    with jax.enable_x64(request.param == "float64"):
+        yield request.param
+
+
+@pytest.fixture
+def x64():
+    """Run the test in double precision."""
+    with jax.enable_x64(True):
+        yield
