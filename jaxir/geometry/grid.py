@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, finite, positive, require_shape
@@ -34,12 +35,7 @@ class Grid(eqx.Module):
 
     def centres(self) -> Float[Array, "nx ny nz 3"]:
         """Cell centres [nx, ny, nz, 3] [m]."""
-        import jax.numpy as jnp
-
-        axes = [
-            self.origin[a] + self.spacing[a] * (as_float(jnp.arange(n)) + 0.5)
-            for a, n in enumerate(self.shape)
-        ]
+        axes = [self.origin[a] + self.spacing[a] * (as_float(jnp.arange(n)) + 0.5) for a, n in enumerate(self.shape)]
         return jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
 
     def checks(self) -> list[Check]:

@@ -34,9 +34,7 @@ class Mesh(eqx.Module):
         self.vertices = as_float(vertices, "Mesh.vertices")
         index = np.asarray(faces)
         if index.ndim != 2 or index.shape[-1] != 3 or not np.issubdtype(index.dtype, np.integer):
-            raise ValueError(
-                f"Mesh.faces: got {index.dtype} of shape {index.shape}, expected integers (face, 3)"
-            )
+            raise ValueError(f"Mesh.faces: got {index.dtype} of shape {index.shape}, expected integers (face, 3)")
         if index.shape[0] == 0:
             raise ValueError("Mesh.faces: got 0 faces, expected at least 1")
         if self.vertices.ndim != 2 or self.vertices.shape[1] != 3:

@@ -26,14 +26,10 @@ def ray_frame(direction: Float[Array, " 3"]) -> Float[Array, "3 3"]:
     third, first, second = (eye[(axis + k) % 3] for k in range(3))
     scale = 1 / direction[axis]
     depth = third * scale
-    return jnp.stack(
-        [first - direction[(axis + 1) % 3] * depth, second - direction[(axis + 2) % 3] * depth, depth]
-    )
+    return jnp.stack([first - direction[(axis + 1) % 3] * depth, second - direction[(axis + 2) % 3] * depth, depth])
 
 
-def ray_triangle(
-    frame: Float[Array, "3 3"], corners: Float[Array, "3 3"]
-) -> tuple[Bool[Array, ""], Float[Array, ""]]:
+def ray_triangle(frame: Float[Array, "3 3"], corners: Float[Array, "3 3"]) -> tuple[Bool[Array, ""], Float[Array, ""]]:
     """Whether a ray meets a triangle, and where.
 
     Args:

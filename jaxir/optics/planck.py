@@ -141,9 +141,7 @@ def _gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
     return (node + 1) / 2, weight / 2
 
 
-def brightness_temperature(
-    radiance: Float[Array, "*batch band"], nodes: Nodes
-) -> Float[Array, "*batch band"]:
+def brightness_temperature(radiance: Float[Array, "*batch band"], nodes: Nodes) -> Float[Array, "*batch band"]:
     """Temperature of the blackbody with the same in-band radiance, by Newton's method in ln B(1/T).
 
     Args:
