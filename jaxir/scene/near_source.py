@@ -1,0 +1,232 @@
+"""Lights at a finite distance: a point, a disc, a sphere.
+
+Each is a leaf module of numbers with methods for one point of the skin. Lights are seen by the skin only: a camera
+does not see them, and they cast no shadow.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, finite, non_negative, positive, require_shape, unit_vector
+from jaxir._vector import dot
+from jaxir.geometry.sampling import pdf_disc, pdf_from_area, sample_cap, sample_disc, sphere_drop
+
+
+class Arrival(NamedTuple):
+    """A direction in which a light is looked for.
+
+    Attributes:
+        omega_i: unit vector towards the light [3].
+        distance: to the light [m]; inf where that direction misses it.
+        pdf: density of the light's sampler in that direction [sr-1]; 0 where it misses.
+    """
+
+    omega_i: Float[Array, " 3"]
+    distance: Float[Array, ""]
+    pdf: Float[Array, ""]
+
+
+class AbstractAreaSource(eqx.Module):
+    """A light with an extent: the same radiance from every point of it in every direction."""
+
+    @abc.abstractmethod
+    def sample(self, u: Float[Array, " 2"], point: Float[Array, " 3"]) -> Arrival:
+        """A direction towards the light from two uniform numbers; pdf 0 if the light does not shine on the point."""
+
+    @abc.abstractmethod
+    def meet(self, point: Float[Array, " 3"], omega_i: Float[Array, " 3"]) -> Arrival:
+        """Where a ray from the skin meets the light, with the density `sample` has for that direction."""
+
+    @abc.abstractmethod
+    def emitted(self) -> Float[Array, " node"]:
+        """Its radiance [node or 1] [W m-2 sr-1]."""
+
+    @abc.abstractmethod
+    def checks(self) -> list[Check]:
+        """What must hold of the fields' values."""
+
+
+class PointSource(eqx.Module):
+    """A light without extent that shines alike in all directions.
+
+    Attributes:
+        position: [3] [m].
+        intensity: [node or 1] [W sr-1].
+
+    Differentiable in `intensity`, and in `position` where no shadow moves.
+    """
+
+    position: Float[Array, " 3"]
+    intensity: Float[Array, " node"]
+
+    def __init__(self, position: Any, intensity: Any):
+        """Convert; `intensity` is one value or one per node."""
+        self.position = _vector3("PointSource.position", position)
+        self.intensity = _spectral("PointSource.intensity", intensity)
+
+    def toward(self, point: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
+        """Unit vector to the light [3] and distance [m]."""
+        return _toward(self.position - point)
+
+    def irradiance(self, point: Float[Array, " 3"]) -> Float[Array, " node"]:
+        """Irradiance of a surface at `point` that faces the light, intensity / distance^2; 0 at the light itself."""
+        offset = self.position - point
+        square = dot(offset, offset)
+        there = square > 0
+        return jnp.where(there, self.intensity / jnp.where(there, square, 1), 0)
+
+    def checks(self) -> list[Check]:
+        """The position is finite, the intensity not negative."""
+        return [finite("PointSource.position", self.position), non_negative("PointSource.intensity", self.intensity)]
+
+
+class DiscSource(AbstractAreaSource):
+    """A round plate that shines on the side of its normal.
+
+    Attributes:
+        centre: [3] [m].
+        normal: of the side that shines [3], unit length.
+        radius: [m].
+        radiance: [node or 1] [W m-2 sr-1].
+
+    Differentiable in `radiance`, and in the others where no shadow moves.
+    """
+
+    centre: Float[Array, " 3"]
+    normal: Float[Array, " 3"]
+    radius: Float[Array, ""]
+    radiance: Float[Array, " node"]
+
+    def __init__(self, centre: Any, normal: Any, radius: Any, radiance: Any):
+        """Convert; `radiance` is one value or one per node."""
+        self.centre = _vector3("DiscSource.centre", centre)
+        self.normal = _vector3("DiscSource.normal", normal)
+        self.radius = as_float(radius, "DiscSource.radius")
+        require_shape("DiscSource.radius", self.radius, ())
+        self.radiance = _spectral("DiscSource.radiance", radiance)
+
+    def sample(self, u: Float[Array, " 2"], point: Float[Array, " 3"]) -> Arrival:
+        """See `AbstractAreaSource.sample`; uniform in area."""
+        omega_i, distance = _toward(sample_disc(u, self.centre, self.normal, self.radius) - point)
+        lit = dot(omega_i, self.normal) < 0
+        pdf = pdf_from_area(pdf_disc(self.radius), omega_i, distance, self.normal)
+        return Arrival(omega_i, distance, jnp.where(lit, pdf, 0))
+
+    def meet(self, point: Float[Array, " 3"], omega_i: Float[Array, " 3"]) -> Arrival:
+        """See `AbstractAreaSource.meet`."""
+        slope = dot(omega_i, self.normal)
+        height = dot(self.centre - point, self.normal)
+        ahead = (slope < 0) & (height < 0)
+        distance = jnp.where(ahead, height / jnp.where(ahead, slope, 1), 0)
+        apart = point + distance * omega_i - self.centre
+        met = ahead & (dot(apart, apart) <= self.radius * self.radius)
+        pdf = pdf_from_area(pdf_disc(self.radius), omega_i, distance, self.normal)
+        return Arrival(omega_i, jnp.where(met, distance, jnp.inf), jnp.where(met, pdf, 0))
+
+    def emitted(self) -> Float[Array, " node"]:
+        """See `AbstractAreaSource.emitted`."""
+        return self.radiance
+
+    def checks(self) -> list[Check]:
+        """The disc has a size, its normal length 1, its radiance is not negative."""
+        return [
+            finite("DiscSource.centre", self.centre),
+            unit_vector("DiscSource.normal", self.normal),
+            positive("DiscSource.radius", self.radius),
+            non_negative("DiscSource.radiance", self.radiance),
+        ]
+
+
+class SphereSource(AbstractAreaSource):
+    """A ball that shines; seen from inside it shines from everywhere.
+
+    Attributes:
+        centre: [3] [m].
+        radius: [m].
+        radiance: [node or 1] [W m-2 sr-1].
+
+    Differentiable in `radiance`, and in the others where no shadow moves.
+    """
+
+    centre: Float[Array, " 3"]
+    radius: Float[Array, ""]
+    radiance: Float[Array, " node"]
+
+    def __init__(self, centre: Any, radius: Any, radiance: Any):
+        """Convert; `radiance` is one value or one per node."""
+        self.centre = _vector3("SphereSource.centre", centre)
+        self.radius = as_float(radius, "SphereSource.radius")
+        require_shape("SphereSource.radius", self.radius, ())
+        self.radiance = _spectral("SphereSource.radiance", radiance)
+
+    def sample(self, u: Float[Array, " 2"], point: Float[Array, " 3"]) -> Arrival:
+        """See `AbstractAreaSource.sample`; uniform in the solid angle under which the sphere is seen."""
+        axis, _ = _toward(self.centre - point)
+        drop = sphere_drop(point, self.centre, self.radius)
+        omega_i = sample_cap(u, axis, drop)
+        reach = self._reach(point, omega_i)
+        along = jnp.maximum(dot(self.centre - point, omega_i), 0)  # where rounding makes a ray at the rim miss
+        return Arrival(omega_i, jnp.where(jnp.isfinite(reach), reach, along), _cap_density(drop))
+
+    def meet(self, point: Float[Array, " 3"], omega_i: Float[Array, " 3"]) -> Arrival:
+        """See `AbstractAreaSource.meet`."""
+        distance = self._reach(point, omega_i)
+        density = _cap_density(sphere_drop(point, self.centre, self.radius))
+        return Arrival(omega_i, distance, jnp.where(jnp.isfinite(distance), density, 0))
+
+    def emitted(self) -> Float[Array, " node"]:
+        """See `AbstractAreaSource.emitted`."""
+        return self.radiance
+
+    def checks(self) -> list[Check]:
+        """The sphere has a size, its radiance is not negative."""
+        return [
+            finite("SphereSource.centre", self.centre),
+            positive("SphereSource.radius", self.radius),
+            non_negative("SphereSource.radiance", self.radiance),
+        ]
+
+    def _reach(self, point: Float[Array, " 3"], omega_i: Float[Array, " 3"]) -> Float[Array, ""]:
+        """Distance to the sphere along a ray, to its far side from inside; inf on a miss."""
+        offset = self.centre - point
+        along = dot(offset, omega_i)
+        across = offset - along * omega_i
+        room = self.radius * self.radius - dot(across, across)
+        met = room >= 0
+        chord = jnp.where(room > 0, jnp.sqrt(jnp.where(room > 0, room, 1)), 0)
+        outside = dot(offset, offset) > self.radius * self.radius
+        distance = jnp.where(outside, along - chord, along + chord)
+        return jnp.where(met & (distance > 0), distance, jnp.inf)
+
+
+def _cap_density(drop: Float[Array, ""]) -> Float[Array, ""]:
+    return jnp.where(drop > 0, 1 / (2 * jnp.pi * jnp.where(drop > 0, drop, 1)), 0)
+
+
+def _toward(offset: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
+    """Unit vector and length of an offset; (0, 0, 1) and 0 for no offset, with finite derivatives."""
+    square = dot(offset, offset)
+    there = square > 0
+    inverse = lax.rsqrt(jnp.where(there, square, 1))
+    up = jnp.asarray([0, 0, 1], offset.dtype)
+    return jnp.where(there, offset * inverse, up), jnp.where(there, square * inverse, 0)
+
+
+def _vector3(field: str, value: Any) -> Float[Array, " 3"]:
+    array = as_float(value, field)
+    require_shape(field, array, (3,))
+    return array
+
+
+def _spectral(field: str, value: Any) -> Float[Array, " node"]:
+    array = as_float(value, field)
+    if array.ndim > 1:
+        raise ValueError(f"{field}: got shape {array.shape}, expected one value or one per node")
+    return array.reshape(-1)

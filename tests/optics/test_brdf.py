@@ -1,0 +1,230 @@
+"""Laws that every brdf keeps, whatever its parameters: energy, Kirchhoff, reciprocity, its own sampler."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from chi_square import direction_grid, p_value
+
+from jaxir._arrays import enforce
+from jaxir._vector import frame_around
+from jaxir.optics.brdf import Lambert
+from jaxir.optics.brdf_parts import BrdfPerFace
+from jaxir.optics.brdf_table import BrdfTable
+from jaxir.optics.microfacet import RoughConductor, _loss, _single_scattering
+from jaxir.optics.paint import SandfordRobertson
+
+FACE = np.int32(0)
+
+
+def table_value(theta=9, azimuth=9):
+    """A forward-leaning, reciprocal, physical table."""
+    ti, to, phi = np.meshgrid(
+        np.linspace(0, np.pi / 2, theta), np.linspace(0, np.pi / 2, theta), np.linspace(0, np.pi, azimuth),
+        indexing="ij",
+    )  # fmt: skip
+    return 0.1 * (1 + np.sin(ti) * np.sin(to) * (1 - np.cos(phi)))
+
+
+BRDFS = {
+    "lambert": lambda: Lambert(0.3),
+    "lambert black": lambda: Lambert(1.0),
+    "lambert white": lambda: Lambert(0.0),
+    "paint": lambda: SandfordRobertson(0.6, 0.1, 0.2, 0.3),
+    "paint glossy": lambda: SandfordRobertson(0.3, 0.0, 0.08, 0.1),
+    "paint wide": lambda: SandfordRobertson(0.2, 0.2, 0.9, 0.8),
+    "paint flat": lambda: SandfordRobertson(0.5, 0.5, 0.3, 0.0),
+    "paint per node": lambda: SandfordRobertson([[0.6, 0.4]], [[0.1, 0.3]], 0.3, 0.3),
+    "metal smooth": lambda: RoughConductor(5.0, 30.0, 0.1),
+    "metal rough": lambda: RoughConductor([[5.0, 1.5]], [[30.0, 0.2]], 0.5),
+    "metal roughest": lambda: RoughConductor(2.0, 2.0, 1.0),
+    "table": lambda: BrdfTable(table_value()),
+    "per face": lambda: BrdfPerFace([Lambert([0.2, 0.4]), SandfordRobertson(0.6, 0.1, 0.2, 0.3)], [1, 0]),
+}
+LOSES = {"metal smooth", "metal rough", "metal roughest"}  # samplers that send a little below the horizon
+
+
+@pytest.fixture(params=BRDFS)
+def name(request):
+    return request.param
+
+
+def towards(cos, turn=0.3):
+    sine = np.sqrt(1 - cos**2)
+    return jnp.asarray([sine * np.cos(turn), sine * np.sin(turn), cos])
+
+
+NORMAL = np.array([0.36, -0.48, 0.8])
+
+
+def tilted(local):
+    """A direction given about z, about NORMAL."""
+    return jnp.asarray(local) @ frame_around(jnp.asarray(NORMAL, jnp.asarray(local).dtype))
+
+
+@pytest.mark.parametrize("cos_o", [1.0, 0.6, 0.15])
+def test_emission_and_reflection_add_up(name, cos_o, x64):
+    """Furnace on one surface, int brdf cos = reflectance = 1 - emissivity, by quadrature on the hemisphere."""
+    brdf = BRDFS[name]().at(jnp.asarray(FACE))
+    normal = jnp.asarray(NORMAL)
+    omega_o = tilted(towards(cos_o))
+    # steps in z**2 = equal cosine-weighted steps; finer around the peaks by sheer number
+    rings, sectors = 1200, 720
+    cos = np.sqrt((np.arange(rings) + 0.5) / rings)
+    angle = (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
+    frame = np.asarray(frame_around(normal))
+
+    @jax.jit
+    def ring(c):
+        sine = jnp.sqrt(1 - c * c)
+        omega = jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), jnp.full(sectors, c)], axis=-1) @ frame
+        return jax.vmap(lambda w: brdf.eval(w, omega_o, normal))(omega).mean(axis=0)
+
+    total = np.pi * np.asarray(jax.lax.map(ring, jnp.asarray(cos))).mean(axis=0)
+    rho = np.asarray(brdf.reflectance(jnp.asarray(cos_o)))
+    assert np.all(rho >= 0) and np.all(rho <= 1)
+    np.testing.assert_allclose(1 - rho, brdf.emissivity(jnp.asarray(cos_o)), atol=1e-14)
+    tolerance = 1.5e-3 if "metal" in name else 3e-4 if name == "table" else 1e-4
+    np.testing.assert_allclose(total, rho, atol=tolerance)
+
+
+def test_density_is_that_of_the_samples(name):
+    brdf = BRDFS[name]().at(jnp.asarray(FACE))
+    normal, omega_o = jnp.asarray(NORMAL), tilted(towards(0.55))
+    p, total = p_value(
+        lambda u: brdf.sample(u, omega_o, normal), lambda w: brdf.pdf(w, omega_o, normal),
+        frame_around(normal), jax.random.key(5),
+    )  # fmt: skip
+    assert p > 1e-3
+    assert total == pytest.approx(1, abs=0.02)
+
+
+def test_samples_of_grazing_views_are_directions(name):
+    """Unit length, on the upper side except for what facets lose, even as omega_o touches the surface."""
+    brdf = BRDFS[name]().at(jnp.asarray(FACE))
+    normal = jnp.asarray([0.0, 0.0, -1.0])
+    for cos in (1.0, 1e-3, 1e-7, 0.0):
+        omega_o = towards(cos)
+        u = jnp.asarray([[0.0, 0.0], [0.999999, 0.999999], [0.5, 0.0], [0.2, 0.7], [0.99, 0.25]])
+        omega_i = jax.vmap(lambda u, o=omega_o: brdf.sample(u, o, normal))(u)
+        np.testing.assert_allclose(np.linalg.norm(omega_i, axis=-1), 1, atol=2e-6)
+        pdf = jax.vmap(lambda w, o=omega_o: brdf.pdf(w, o, normal))(omega_i)
+        assert np.all(np.isfinite(pdf))
+        if name not in LOSES and cos > 0:  # no side is the upper one of a view along the surface
+            assert np.all(np.asarray(omega_i)[:, 2] >= -1e-6)
+
+
+def test_exchange_of_directions(name, x64):
+    """Reciprocal, except the paint's lobe, which is so at its peak only and says so."""
+    brdf = BRDFS[name]().at(jnp.asarray(FACE))
+    normal = jnp.asarray([0.0, 0.0, 1.0])
+    key = jax.random.key(0)
+    local = np.array(jax.random.normal(key, (64, 2, 3)))
+    local[..., 2] = np.abs(local[..., 2])
+    local /= np.linalg.norm(local, axis=-1, keepdims=True)
+    pair = jnp.asarray(local)
+    if name in ("paint", "paint glossy", "paint wide", "paint per node", "per face"):
+        mirrored = pair[:, 0] * jnp.asarray([[-1.0, -1.0, 1.0]])
+        pair = jnp.stack([pair[:, 0], mirrored], axis=1)
+    evaluate = jax.jit(jax.vmap(lambda i, o: brdf.eval(i, o, normal)))
+    np.testing.assert_allclose(evaluate(pair[:, 0], pair[:, 1]), evaluate(pair[:, 1], pair[:, 0]), rtol=1e-9)
+
+
+def test_diffuse_part_of_paint_is_reciprocal(x64):
+    """Emissivity so high that the lobe vanishes at the normal leaves the lobe's share alone non-reciprocal."""
+    flat = SandfordRobertson(0.5, 0.5, 0.3, 0.0).at(jnp.asarray(FACE))
+    normal = jnp.asarray([0.0, 0.0, 1.0])
+    forth, back = flat.eval(towards(0.3), towards(0.8, 2.0), normal), flat.eval(towards(0.8, 2.0), towards(0.3), normal)
+    np.testing.assert_allclose(forth, back, rtol=1e-13)
+    np.testing.assert_allclose(forth, 0.5 / np.pi, rtol=1e-12)
+
+
+def test_values_and_gradients_are_finite_everywhere(name, precision):
+    """Grazing, backscatter, specular, opposite and tangential directions; in parameters and directions."""
+    brdf = BRDFS[name]().at(jnp.asarray(FACE))
+    dtype = precision
+    normal = jnp.asarray([0, 0, 1], dtype)
+    cos = [1.0, 0.5, 1e-4, 1e-12, 0.0]
+    views = [towards(c) for c in cos] + [towards(c, 0.3 + np.pi) for c in cos] + [-towards(c) for c in (1.0, 0.2)]
+    views = jnp.asarray(np.array(views), dtype)
+    here, kept = eqx.partition(brdf, eqx.is_inexact_array)
+
+    def total(here, omega_i, omega_o, cos_o):
+        whole = eqx.combine(here, kept)
+        return jnp.sum(whole.eval(omega_i, omega_o, normal)) + jnp.sum(whole.emissivity(cos_o))
+
+    each = jax.vmap(jax.value_and_grad(total, argnums=(0, 1, 2, 3)), in_axes=(None, 0, None, None))
+    every = jax.jit(jax.vmap(each, in_axes=(None, None, 0, 0)))
+    cos_o = jnp.clip(jnp.abs(views[:, 2]), 0, 1)
+    for leaf in jax.tree.leaves(every(here, views, views, cos_o)):
+        assert np.all(np.isfinite(leaf))
+
+
+@pytest.mark.parametrize("kind", ["paint", "metal rough", "table"])
+def test_parameter_gradients_agree_with_differences(kind, x64):
+    brdf = BRDFS[kind]()
+    normal, i, o = jnp.asarray(NORMAL), tilted(towards(0.7)), tilted(towards(0.45, 2.5))
+
+    def value(brdf):
+        here = brdf.at(jnp.asarray(FACE))
+        return jnp.sum(here.eval(i, o, normal) + 0.5 * here.emissivity(jnp.asarray(0.45)))
+
+    value = jax.jit(value)
+    gradient = jax.jit(jax.grad(value))(brdf)
+    direction = jax.tree.map(lambda leaf: jnp.linspace(0.5, 1.0, leaf.size).reshape(leaf.shape) * leaf, brdf)
+    step = 1e-6
+    ends = [jax.tree.map(lambda a, b, s=s: a + s * step * b, brdf, direction) for s in (1, -1)]
+    difference = (value(ends[0]) - value(ends[1])) / (2 * step)
+    forward = jax.jit(lambda a, b: jax.jvp(value, (a,), (b,))[1])(brdf, direction)
+    reverse = sum(jnp.vdot(a, b) for a, b in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True))
+    np.testing.assert_allclose(forward, difference, rtol=1e-6)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-12)
+
+
+def test_loss_of_single_scattering():
+    """E(1, 1) = 1 - ln 2; the series against its own integral off its nodes."""
+    assert _single_scattering(np.array([1.0]), np.array([1.0]))[0] == pytest.approx(1 - np.log(2), abs=1e-9)
+    cos, a = (m.ravel() for m in np.meshgrid([0.01, 0.05, 0.2, 0.5, 0.9, 1.0], [0.02, 0.1, 0.37, 0.8, 1.0]))
+    error = np.asarray(_loss(jnp.asarray(cos), jnp.asarray(a))) - (1 - _single_scattering(cos, a))
+    assert np.max(np.abs(error)) < 8e-4
+    assert np.sqrt(np.mean(error**2)) < 2.5e-4
+
+
+def test_a_smooth_metal_obeys_fresnel():
+    """Roughness to 0: the facet emissivity becomes that of the mirror, which at the normal is 4 n / ((n+1)^2 + k^2)."""
+    n, k = 5.0, 30.0
+    smooth = RoughConductor(n, k, 0.003).at(jnp.asarray(FACE))
+    got = float(smooth.emissivity(jnp.asarray(1.0))[0])
+    assert got == pytest.approx(4 * n / ((n + 1) ** 2 + k**2), rel=5e-3)
+
+
+def test_shapes_and_ranges_are_checked():
+    with pytest.raises(ValueError, match="Lambert.emissivity: got shape"):
+        Lambert(np.zeros((2, 3, 4)))
+    with pytest.raises(ValueError, match="expected values in"):
+        enforce(jnp.zeros(1), Lambert([0.2, 1.2]).checks())
+    with pytest.raises(ValueError, match="grazing"):
+        enforce(jnp.zeros(1), SandfordRobertson(0.9, 0.05, 0.2, 0.9).checks())
+    with pytest.raises(ValueError, match="roughness"):
+        enforce(jnp.zeros(1), RoughConductor(1.0, 1.0, 0.0).checks())
+    with pytest.raises(ValueError, match="BrdfPerFace.kind"):
+        BrdfPerFace([Lambert(0.1)], [0, 1])
+    with pytest.raises(ValueError, match="expected 1 or 3"):
+        BrdfPerFace([Lambert([0.1, 0.2])], [0, 0, 0])
+    with pytest.raises(ValueError, match="BrdfTable.value"):
+        BrdfTable(np.zeros((3, 4, 5)))
+    with pytest.raises(ValueError, match="reflectance"):
+        enforce(jnp.zeros(1), BrdfTable(np.full((3, 3, 3), 1.0)).checks())
+    with pytest.raises(ValueError):
+        SandfordRobertson([0.1, 0.2], [0.1, 0.2, 0.3], 0.2, 0.2)
+
+
+def test_one_face_of_many():
+    brdf = BrdfPerFace([Lambert([0.2, 0.4, 0.6]), Lambert([[0.1, 0.9]])], [0, 1, 0])
+    assert brdf.shape() == (3, 2)
+    one = jnp.asarray(0.5)
+    np.testing.assert_allclose(brdf.at(jnp.asarray(2, jnp.int32)).emissivity(one), [0.6, 0.6], rtol=1e-6)
+    np.testing.assert_allclose(brdf.at(jnp.asarray(1, jnp.int32)).emissivity(one), [0.1, 0.9], rtol=1e-6)
+    grid, solid = direction_grid(4, 4)
+    assert solid * grid[..., 0].size == pytest.approx(4 * np.pi)
