@@ -1,4 +1,4 @@
-"""A regular grid of cells and the walk of a ray through it."""
+"""A regular grid of cells."""
 
 from __future__ import annotations
 
