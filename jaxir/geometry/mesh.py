@@ -101,6 +101,31 @@ def any_hit(
     return lax.stop_gradient(_search(mesh, single, t_min, t_max)) >= 0
 
 
+def occluded(
+    mesh: Mesh,
+    point: Float[Array, "ray 3"],
+    face: Int[Array, " ray"],
+    toward: Float[Array, " 3"],
+    active: Bool[Array, " ray"],
+) -> Bool[Array, " ray"]:
+    """Whether points of the mesh are hidden from a direction by any other face.
+
+    Args:
+        mesh: the triangles.
+        point: points on the mesh [ray, 3] [m].
+        face: the face on which each point lies [ray].
+        toward: direction in which to look [3], unit.
+        active: points to be tested; others return False.
+
+    Returns:
+        [ray]. Not differentiable.
+    """
+    size = jnp.max(jnp.abs(mesh.vertices))
+    rays = Rays(point, jnp.broadcast_to(toward, point.shape))
+    near = jnp.full_like(point[:, 0], 1) * size * 1e-5
+    return any_hit(mesh, rays, near, jnp.where(active, jnp.inf, -jnp.inf)) & active
+
+
 def _search(mesh: Mesh, rays: Rays, t_min: Any, t_max: Any) -> Int[Array, " ray"]:
     """Brute force in chunks of rays and faces: exact, memory bounded, for a handful of triangles."""
     corners = mesh.corners()
