@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check, as_float, finite, non_negative, positive, require_shape, unit_vector
 from jaxir._vector import dot
 from jaxir.geometry.sampling import pdf_disc, pdf_from_area, sample_cap, sample_disc, sphere_drop
+from jaxir.scene.source import spectral
 
 
 class Arrival(NamedTuple):
@@ -69,7 +70,7 @@ class PointSource(eqx.Module):
     def __init__(self, position: Any, intensity: Any):
         """Convert; `intensity` is one value or one per node."""
         self.position = _vector3("PointSource.position", position)
-        self.intensity = _spectral("PointSource.intensity", intensity)
+        self.intensity = spectral("PointSource.intensity", intensity)
 
     def toward(self, point: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
         """Unit vector to the light [3] and distance [m]."""
@@ -110,7 +111,7 @@ class DiscSource(AbstractAreaSource):
         self.normal = _vector3("DiscSource.normal", normal)
         self.radius = as_float(radius, "DiscSource.radius")
         require_shape("DiscSource.radius", self.radius, ())
-        self.radiance = _spectral("DiscSource.radiance", radiance)
+        self.radiance = spectral("DiscSource.radiance", radiance)
 
     def sample(self, u: Float[Array, " 2"], point: Float[Array, " 3"]) -> Arrival:
         """See `AbstractAreaSource.sample`; uniform in area."""
@@ -164,7 +165,7 @@ class SphereSource(AbstractAreaSource):
         self.centre = _vector3("SphereSource.centre", centre)
         self.radius = as_float(radius, "SphereSource.radius")
         require_shape("SphereSource.radius", self.radius, ())
-        self.radiance = _spectral("SphereSource.radiance", radiance)
+        self.radiance = spectral("SphereSource.radiance", radiance)
 
     def sample(self, u: Float[Array, " 2"], point: Float[Array, " 3"]) -> Arrival:
         """See `AbstractAreaSource.sample`; uniform in the solid angle under which the sphere is seen."""
@@ -223,10 +224,3 @@ def _vector3(field: str, value: Any) -> Float[Array, " 3"]:
     array = as_float(value, field)
     require_shape(field, array, (3,))
     return array
-
-
-def _spectral(field: str, value: Any) -> Float[Array, " node"]:
-    array = as_float(value, field)
-    if array.ndim > 1:
-        raise ValueError(f"{field}: got shape {array.shape}, expected one value or one per node")
-    return array.reshape(-1)
