@@ -55,7 +55,8 @@ def load_mesh(path: str | os.PathLike, *, unit: str) -> Body:
         loaded = trimesh.load_scene(str(file), process=False)
     except Exception as error:  # trimesh's readers raise whatever their parsers do
         raise ValueError(f"{file}: not readable as a mesh ({type(error).__name__}: {error})") from error
-    vertices, faces, part, names = [], [], [], []
+    vertices, faces, part = [], [], []
+    names: list[str] = []
     offset = 0
     for node in loaded.graph.nodes_geometry:
         transform, name = loaded.graph[node]
