@@ -1,6 +1,30 @@
 """jaxir: differentiable infrared radiometry of aircraft skin and exhaust plumes, in JAX."""
 
-from jaxir import _process
 from jaxir._process import native_loops as native_loops
-
-_process.apply()
+from jaxir.geometry.camera import Camera as Camera
+from jaxir.geometry.camera import orthographic_camera as orthographic_camera
+from jaxir.geometry.camera import perspective_camera as perspective_camera
+from jaxir.geometry.grid import Grid as Grid
+from jaxir.geometry.mesh import Mesh as Mesh
+from jaxir.optics.band import LWIR as LWIR
+from jaxir.optics.band import MWIR as MWIR
+from jaxir.optics.band import SWIR as SWIR
+from jaxir.optics.band import Band as Band
+from jaxir.optics.band import Nodes as Nodes
+from jaxir.optics.band import gray_nodes as gray_nodes
+from jaxir.optics.brdf import Lambert as Lambert
+from jaxir.optics.gas import GrayGas as GrayGas
+from jaxir.optics.planck import band_radiance as band_radiance
+from jaxir.optics.planck import brightness_temperature as brightness_temperature
+from jaxir.render import Image as Image
+from jaxir.render import Signature as Signature
+from jaxir.render import render as render
+from jaxir.render import signature as signature
+from jaxir.render import unoccluded_intensity as unoccluded_intensity
+from jaxir.scene.atmosphere import FixedPath as FixedPath
+from jaxir.scene.background import BlackbodyBackground as BlackbodyBackground
+from jaxir.scene.background import UniformBackground as UniformBackground
+from jaxir.scene.plume import GridPlume as GridPlume
+from jaxir.scene.scene import Scene as Scene
+from jaxir.scene.skin import Skin as Skin
+from jaxir.scene.source import ParallelSource as ParallelSource

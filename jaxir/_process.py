@@ -14,27 +14,10 @@ OPTION = "xla_cpu_small_while_loop_byte_threshold"
 OPT_OUT = "JAXIR_NATIVE_LOOPS"
 _BYTES = 65536
 
-_state = "native loops: not decided, jaxir was not imported as a package"
-
 
 def native_loops() -> str:
     """One line that says whether XLA compiles ray searches to native loops in this process, and who decided."""
-    return _state
-
-
-def apply() -> None:
-    """Decide once, at import."""
-    global _state
-    flags = os.environ.get("XLA_FLAGS", "")
-    if OPTION in flags:
-        _state = "native loops: left as XLA_FLAGS says, which names the option itself"
-    elif os.environ.get(OPT_OUT, "").lower() in ("0", "false", "off", "no"):
-        _state = f"native loops: off, because {OPT_OUT} says so"
-    elif _backend_runs():
-        _state = "native loops: off, because a JAX backend was running before jaxir was imported"
-    else:
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={OPTION}={_BYTES}".strip()
-        _state = f"native loops: on, set by jaxir in XLA_FLAGS ({OPT_OUT}=0 prevents it)"
+    return _STATE
 
 
 def _backend_runs() -> bool:
@@ -45,3 +28,18 @@ def _backend_runs() -> bool:
         return bool(xla_bridge.backends_are_initialized())
     except (ImportError, AttributeError):
         return True
+
+
+def _decide() -> str:
+    flags = os.environ.get("XLA_FLAGS", "")
+    if OPTION in flags:
+        return "native loops: left as XLA_FLAGS says, which names the option itself"
+    if os.environ.get(OPT_OUT, "").lower() in ("0", "false", "off", "no"):
+        return f"native loops: off, because {OPT_OUT} says so"
+    if _backend_runs():
+        return "native loops: off, because a JAX backend was running before jaxir was imported"
+    os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={OPTION}={_BYTES}".strip()
+    return f"native loops: on, set by jaxir in XLA_FLAGS ({OPT_OUT}=0 prevents it)"
+
+
+_STATE = _decide()

@@ -1,4 +1,4 @@
-"""A regular grid of cells and the walk of a ray through it."""
+"""A regular grid of cells."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, finite, positive, require_shape
@@ -37,6 +38,11 @@ class Grid(eqx.Module):
         """Cell centres [nx, ny, nz, 3] [m]."""
         axes = [self.origin[a] + self.spacing[a] * (as_float(jnp.arange(n)) + 0.5) for a, n in enumerate(self.shape)]
         return jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
+
+    def corners(self) -> Float[Array, "8 3"]:
+        """The eight corners of the box [8, 3] [m]."""
+        unit = as_float(np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]))
+        return self.origin[None, :] + unit * (self.spacing * as_float(np.array(self.shape)))[None, :]
 
     def checks(self) -> list[Check]:
         """The corner is finite, cells have positive size."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -50,7 +50,7 @@ def search_single(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]
         return _search(tree, query, any_hit)
 
     @search.def_vmap
-    def rule(size: int, batched: tuple[Tree, Query], tree: Tree, query: Query) -> tuple[Array, bool]:
+    def rule(size: int, batched: Any, tree: Any, query: Any) -> tuple[Array, bool]:
         if any(jax.tree.leaves(batched[0])):
             looped = sequential_vmap(lambda tree, query: search(tree, query))
             axes = jax.tree.map(lambda flag: 0 if flag else None, batched, is_leaf=lambda x: isinstance(x, bool))

@@ -36,7 +36,9 @@ class Band(eqx.Module):
     lower: float = eqx.field(static=True)
     upper: float = eqx.field(static=True)
 
-    def __check_init__(self):
+    def __init__(self, name: str, lower: float, upper: float):
+        """Check and keep the edges; they are structure, so a new band compiles anew."""
+        self.name, self.lower, self.upper = str(name), float(lower), float(upper)
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and 0 < self.lower < self.upper):
             raise ValueError(
                 f"Band {self.name!r}: got edges {self.lower}, {self.upper} um, expected 0 < lower < upper, finite"

@@ -1,5 +1,7 @@
 """Meshes that break ray searches, and a double precision search that tests every face."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
 import trimesh
@@ -85,6 +87,13 @@ def picture(towards_eye, distance, size=32, width=6.0, start=6.0):
 
 def as_float(value):
     return jnp.asarray(value, jnp.result_type(float))
+
+
+class Lines(NamedTuple):
+    """Rays in double precision."""
+
+    origin: np.ndarray
+    direction: np.ndarray
 
 
 def every_face(vertices, faces, rays, t_min=0.0, t_max=np.inf):

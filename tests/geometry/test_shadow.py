@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import as_float, every_face, fins, picture, sphere, torus
+from bodies import Lines, as_float, every_face, fins, picture, sphere, torus
 
 from jaxir.geometry.mesh import Mesh, any_hit, closest_hit
 from jaxir.geometry.ray import Rays
@@ -35,7 +35,7 @@ def reference(mesh, hit, towards, t_max):
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     lit = np.sum(normal * towards, axis=1)
     point = np.sum(corners * np.asarray(hit.barycentric, np.float64)[:, :, None], axis=1)
-    t, margin = every_face(mesh.vertices, np.asarray(mesh.faces), Rays(point, towards), 1e-4, t_max)
+    t, margin = every_face(mesh.vertices, np.asarray(mesh.faces), Lines(point, towards), 1e-4, t_max)
     hidden = np.isfinite(t)
     return (hidden | (lit < 0)) if mesh.closed else hidden, (margin > 1e-4) & (np.abs(lit) > 1e-2)
 

@@ -1,0 +1,35 @@
+"""Small vector tools that light and geometry both need."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def dot(a: Float[Array, " 3"], b: Float[Array, " 3"]) -> Float[Array, ""]:
+    """Scalar product of two vectors."""
+    return jnp.sum(a * b)
+
+
+def frame_around(normal: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+    """Right-handed orthonormal frame whose third row is `normal`.
+
+    The construction of Duff et al., "Building an orthonormal basis, revisited" (JCGT 6(1), 2017): no direction is
+    singular, and rows are orthonormal to rounding; the tangents jump once, where normal z changes sign.
+
+    Args:
+        normal: unit vector [3].
+
+    Returns:
+        Rows tangent, bitangent, normal [3, 3]; `local @ frame` carries local coordinates to the scene and
+        `frame @ vector` carries back.
+
+    Differentiable in normal away from the jump.
+    """
+    x, y, z = normal[0], normal[1], normal[2]
+    sign = jnp.where(z >= 0, 1, -1).astype(normal.dtype)
+    a = -1 / (sign + z)
+    b = x * y * a
+    tangent = jnp.stack([1 + sign * x * x * a, sign * b, -sign * x])
+    bitangent = jnp.stack([b, sign + y * y * a, -y])
+    return jnp.stack([tangent, bitangent, normal])

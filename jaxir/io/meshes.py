@@ -1,0 +1,92 @@
+"""Meshes from files, through trimesh."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+
+from jaxir.geometry.mesh import Mesh
+
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048}
+
+
+class Body(NamedTuple):
+    """A mesh with its parts, as a file holds them.
+
+    Attributes:
+        mesh: all triangles, in the file's order of parts and of faces inside each part.
+        part: index of each face's part [face].
+        part_names: names of the parts.
+    """
+
+    mesh: Mesh
+    part: np.ndarray
+    part_names: tuple[str, ...]
+
+
+def load_mesh(path: str | os.PathLike, *, unit: str) -> Body:
+    """Read STL, OBJ, PLY, GLB or whatever else trimesh reads.
+
+    Nothing is merged, reordered or repaired, so that per-face arrays made for the file keep fitting. Faces of zero
+    area are kept (they are never hit) and named in a warning.
+
+    Args:
+        path: the file.
+        unit: length unit of its coordinates: m, cm, mm, km, in or ft. There is no default: files do not say.
+
+    Returns:
+        The mesh in metres with its parts (objects of the file; one part for formats without objects).
+
+    Raises:
+        ValueError: unknown unit, no such file, unreadable file, no triangles, coordinates that are not finite; the
+            message names the file.
+    """
+    file = Path(path)
+    if unit not in METRES:
+        raise ValueError(f"unit: got {unit!r}, expected one of {', '.join(METRES)}")
+    if not file.is_file():
+        raise ValueError(f"{file}: no such file")
+    try:
+        loaded = trimesh.load_scene(str(file), process=False)
+    except Exception as error:  # trimesh's readers raise whatever their parsers do
+        raise ValueError(f"{file}: not readable as a mesh ({type(error).__name__}: {error})") from error
+    vertices, faces, part, names = [], [], [], []
+    offset = 0
+    for node in loaded.graph.nodes_geometry:
+        transform, name = loaded.graph[node]
+        geometry = loaded.geometry[name]
+        if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
+            continue
+        points = np.asarray(geometry.vertices, np.float64)
+        vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
+        faces.append(np.asarray(geometry.faces, np.int64) + offset)
+        part.append(np.full(len(geometry.faces), len(names), np.int32))
+        names.append(str(name))
+        offset += len(points)
+    if not faces:
+        raise ValueError(f"{file}: holds no triangles")
+    all_vertices = np.concatenate(vertices) * METRES[unit]
+    all_faces = np.concatenate(faces)
+    bad = np.flatnonzero(~np.isfinite(all_vertices).all(axis=1))
+    if bad.size:
+        raise ValueError(f"{file}: vertex {bad[0]} is {all_vertices[bad[0]]}, expected finite coordinates")
+    flat = zero_area_faces(all_vertices, all_faces)
+    if flat.size == len(all_faces):
+        raise ValueError(f"{file}: all {flat.size} faces have zero area")
+    if flat.size:
+        shown = ", ".join(str(f) for f in flat[:10]) + (", ..." if flat.size > 10 else "")
+        warnings.warn(f"{file}: {flat.size} faces have zero area and are never hit: {shown}", stacklevel=2)
+    return Body(Mesh(all_vertices, all_faces), np.concatenate(part), tuple(names))
+
+
+def zero_area_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Indices of faces whose area is below double rounding of their longest edge squared."""
+    p = vertices[faces]
+    edge = p[:, [1, 2, 0]] - p
+    area = np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
+    return np.flatnonzero(area <= 1e-14 * (edge**2).sum(axis=2).max(axis=1))

@@ -1,0 +1,71 @@
+"""What a ray sees that meets nothing."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, non_negative, positive, require_shape
+from jaxir.optics.band import Nodes
+from jaxir.optics.planck import band_radiance
+from jaxir.scene.source import per_node, spectral
+
+
+class AbstractBackground(eqx.Module):
+    """Radiance behind the scene, at the scene."""
+
+    @abc.abstractmethod
+    def radiance(self, nodes: Nodes) -> Float[Array, " node"]:
+        """Radiance [node] [W m-2 sr-1]."""
+
+    @abc.abstractmethod
+    def checks(self) -> list[Check]:
+        """What must hold of the fields' values."""
+
+
+class UniformBackground(AbstractBackground):
+    """The same given radiance in every direction.
+
+    Attributes:
+        value: [node or 1] [W m-2 sr-1], integrated over each node's bin. Differentiable.
+    """
+
+    value: Float[Array, " node"]
+
+    def __init__(self, value: Any):
+        """Convert; one value or one per node."""
+        self.value = spectral("UniformBackground.value", value)
+
+    def radiance(self, nodes: Nodes) -> Float[Array, " node"]:
+        """See `AbstractBackground.radiance`."""
+        return per_node("UniformBackground.value", self.value, nodes)
+
+    def checks(self) -> list[Check]:
+        """The radiance is not negative."""
+        return [non_negative("UniformBackground.value", self.value)]
+
+
+class BlackbodyBackground(AbstractBackground):
+    """A blackbody of one temperature in every direction.
+
+    Attributes:
+        temperature: [] [K]. Differentiable.
+    """
+
+    temperature: Float[Array, ""]
+
+    def __init__(self, temperature: Any):
+        """Convert to an array."""
+        self.temperature = as_float(temperature, "BlackbodyBackground.temperature")
+        require_shape("BlackbodyBackground.temperature", self.temperature, ())
+
+    def radiance(self, nodes: Nodes) -> Float[Array, " node"]:
+        """See `AbstractBackground.radiance`."""
+        return band_radiance(self.temperature, nodes)
+
+    def checks(self) -> list[Check]:
+        """The temperature is positive."""
+        return [positive("BlackbodyBackground.temperature", self.temperature)]

@@ -1,0 +1,42 @@
+"""Plumes: where the gas is, how hot it is, and which gas it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, positive
+from jaxir.geometry.grid import Grid
+from jaxir.optics.gas import AbstractGas
+
+
+class GridPlume(eqx.Module):
+    """A plume given cell by cell, as computed flow fields are.
+
+    Attributes:
+        grid: the cells.
+        temperature: [nx, ny, nz] [K].
+        gas: what absorbs and emits in the cells.
+
+    Differentiable in `temperature` and in the leaves of `gas`; not in the grid.
+    """
+
+    grid: Grid
+    temperature: Float[Array, "nx ny nz"]
+    gas: AbstractGas
+
+    def __init__(self, grid: Grid, temperature: Any, gas: AbstractGas):
+        """Join a grid with its fields; `temperature` may be one value for all cells [K]."""
+        value = as_float(temperature, "GridPlume.temperature")
+        if value.shape not in ((), grid.shape):
+            raise ValueError(f"GridPlume.temperature: got shape {value.shape}, expected one value or {grid.shape}")
+        self.grid = grid
+        self.temperature = jnp.broadcast_to(value, grid.shape)
+        self.gas = gas
+
+    def checks(self) -> list[Check]:
+        """Cells have positive size, temperatures are positive, the gas's fields in range."""
+        return [*self.grid.checks(), positive("GridPlume.temperature", self.temperature), *self.gas.checks()]

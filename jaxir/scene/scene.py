@@ -1,0 +1,51 @@
+"""The scene: everything that a computation sees. Absent parts cost nothing."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check
+from jaxir.scene.atmosphere import AbstractAtmosphere
+from jaxir.scene.background import AbstractBackground
+from jaxir.scene.plume import GridPlume
+from jaxir.scene.skin import Skin
+from jaxir.scene.source import ParallelSource
+
+
+class Scene(eqx.Module):
+    """A body, its plume, its lights, what is behind it and what is in front of it.
+
+    The structure (which parts are present, of which types and shapes) decides what is compiled; the arrays inside are
+    what gradients see. In the scene's frame x points to the nose, y to the left wing, z up [m].
+
+    Attributes:
+        skin: opaque surface.
+        plume: emitting and absorbing gas.
+        sources: lights that have no extent.
+        background: what rays see that meet nothing.
+        atmosphere: the path from the target to the sensor.
+    """
+
+    skin: Skin | None = None
+    plume: GridPlume | None = None
+    sources: tuple[ParallelSource, ...] = ()
+    background: AbstractBackground | None = None
+    atmosphere: AbstractAtmosphere | None = None
+
+    def __check_init__(self):
+        if self.skin is None and self.plume is None:
+            raise ValueError("Scene: got neither skin nor plume, expected at least one of them")
+
+    def extent(self) -> Float[Array, "corner 3"]:
+        """Points whose convex hull holds skin and plume [corner, 3] [m]: mesh vertices and corners of the grid."""
+        points = [] if self.skin is None else [self.skin.mesh.vertices]
+        if self.plume is not None:
+            points.append(self.plume.grid.corners())
+        return jnp.concatenate(points)
+
+    def checks(self) -> list[Check]:
+        """The checks of every part present."""
+        parts = (self.skin, self.plume, *self.sources, self.background, self.atmosphere)
+        return [check for part in parts if part is not None for check in part.checks()]

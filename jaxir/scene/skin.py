@@ -1,0 +1,83 @@
+"""Opaque skin: a mesh with a temperature and a reflectance per face."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxir._arrays import Check, as_float, positive
+from jaxir.geometry.mesh import Mesh
+from jaxir.optics.brdf import AbstractBrdf
+
+
+class Skin(eqx.Module):
+    """The opaque surface of a body.
+
+    Attributes:
+        mesh: its triangles.
+        temperature: of each face [face] [K].
+        brdf: reflectance of each face; emissivity follows from it by Kirchhoff's law.
+        part: index of each face's part [face].
+        part_names: names of the parts.
+
+    Differentiable in `temperature` and in the leaves of `brdf`.
+    """
+
+    mesh: Mesh
+    temperature: Float[Array, " face"]
+    brdf: AbstractBrdf
+    part: Int[Array, " face"]
+    part_names: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        temperature: Any,
+        brdf: AbstractBrdf,
+        part: Any = None,
+        part_names: Sequence[str] = ("skin",),
+    ):
+        """Join a mesh with what its faces are.
+
+        Args:
+            mesh: the triangles.
+            temperature: one value, or one per face [K].
+            brdf: parameters for all faces alike, or one per face.
+            part: index of each face's part, into `part_names`; all faces are part 0 by default.
+            part_names: names of the parts.
+
+        Raises:
+            ValueError: per-face arrays of another length than the mesh, or part indices without a name.
+        """
+        count = mesh.count
+        value = as_float(temperature, "Skin.temperature")
+        if value.shape not in ((), (1,), (count,)):
+            raise ValueError(
+                f"Skin.temperature: got shape {value.shape}, expected one value or ({count},), one per face"
+            )
+        self.mesh = mesh
+        self.temperature = jnp.broadcast_to(value, (count,))
+        if brdf.shape()[0] not in (1, count):
+            raise ValueError(
+                f"Skin.brdf: got parameters of {brdf.shape()[0]} faces, expected 1 or {count}, one per face"
+            )
+        self.brdf = brdf
+        index = np.zeros(count, np.int32) if part is None else np.asarray(part)
+        if index.shape != (count,) or not np.issubdtype(index.dtype, np.integer):
+            raise ValueError(f"Skin.part: got {index.dtype} of shape {index.shape}, expected integers ({count},)")
+        if index.min() < 0 or index.max() >= len(part_names):
+            raise ValueError(
+                f"Skin.part: got indices {index.min()} to {index.max()}, expected 0 to {len(part_names) - 1} "
+                f"for the names {tuple(part_names)}"
+            )
+        self.part = jnp.asarray(index, jnp.int32)
+        self.part_names = tuple(part_names)
+
+    def checks(self) -> list[Check]:
+        """Temperatures are positive, vertices finite, the brdf's parameters in range."""
+        return [*self.mesh.checks(), positive("Skin.temperature", self.temperature), *self.brdf.checks()]

@@ -1,0 +1,119 @@
+"""The house stands: imports run downward only, and a scene compiles no more than it holds."""
+
+import ast
+import importlib
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+
+import jaxir
+import jaxir.transport.paths as paths_module
+from jaxir.geometry.ray import Rays
+from jaxir.optics.band import gray_nodes
+from jaxir.transport.evaluate import evaluate, radiometry
+from jaxir.transport.paths import trace
+from tests.scenes import gray_box, plate
+
+render_module = importlib.import_module("jaxir.render")  # the package's attribute of that name is the function
+PACKAGE = Path(jaxir.__file__).parent
+FLOORS = {"optics": 0, "geometry": 0, "scene": 1, "transport": 2, "render": 3, "fit": 3, "io": 4}
+
+
+def _room(module: str) -> str | None:
+    parts = module.split(".")
+    return parts[1] if parts[0] == "jaxir" and len(parts) > 1 else None
+
+
+def _imports(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+        elif isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+    return found
+
+
+def test_imports_run_downward_only():
+    seen = 0
+    for path in PACKAGE.rglob("*.py"):
+        inside = path.relative_to(PACKAGE)
+        room = inside.parts[0].removesuffix(".py")
+        if room.startswith("_") and room != "__main__":
+            if room != "__init__":
+                assert all(_room(m) is None or _room(m).startswith("_") for m in _imports(path)), path
+            continue
+        if room not in FLOORS:
+            continue
+        for module in _imports(path):
+            other = _room(module)
+            if other is None or other.startswith("_"):
+                continue
+            seen += 1
+            allowed = other == room or FLOORS[other] < FLOORS[room]
+            assert allowed, f"{inside} imports {module}: upward or across the wings"
+    assert seen > 20
+
+
+def _primitives(jaxpr) -> set[str]:
+    """Names of all primitives, those of inner jaxprs included."""
+    names = set()
+    for equation in jaxpr.eqns:
+        names.add(equation.primitive.name)
+        for value in equation.params.values():
+            for inner in value if isinstance(value, (tuple, list)) else (value,):
+                inner = getattr(inner, "jaxpr", inner)
+                if hasattr(inner, "eqns"):
+                    names |= _primitives(inner)
+    return names
+
+
+LOOPS = {"while", "scan"}
+RANDOM = {"random_bits", "threefry2x32", "random_seed"}
+
+
+def _rays(count=4):
+    return Rays(jnp.tile(jnp.array([[2.0, 0.1, 0.2]]), (count, 1)), jnp.tile(jnp.array([[-1.0, 0.0, 0.0]]), (count, 1)))
+
+
+def _evaluation(scene):
+    nodes = gray_nodes((jaxir.MWIR,))
+    paths = trace(scene, _rays())
+    return _primitives(jax.make_jaxpr(lambda s: evaluate(radiometry(s, nodes), paths))(scene).jaxpr)
+
+
+def test_a_scene_compiles_no_more_than_it_holds():
+    skin = jaxir.Scene(plate())
+    assert not _evaluation(skin) & (LOOPS | RANDOM)
+    marched = _evaluation(jaxir.Scene(plate(), gray_box((1.0, 1.0, 1.0), 0.5))) - _evaluation(skin)
+    assert marched == {"march"}
+
+
+def test_shadow_rays_are_traced_for_sources_only(monkeypatch):
+    asked = []
+    monkeypatch.setattr(paths_module, "occluded", lambda mesh, point, face, *rest: asked.append(1) or face > 99)
+    trace(jaxir.Scene(plate()), _rays())
+    assert not asked
+    trace(jaxir.Scene(plate(), sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 1.0),)), _rays())
+    assert asked
+
+
+def test_new_values_never_compile_again(monkeypatch):
+    traced = []
+    monkeypatch.setattr(render_module, "trace", lambda *args: traced.append(1) or trace(*args))
+
+    def run(temperature, emissivity, absorption, irradiance, azimuth):
+        scene = jaxir.Scene(
+            skin=jaxir.Skin(plate().mesh, temperature, jaxir.Lambert(emissivity)),
+            plume=gray_box((1.0, 1.0, 1.0), absorption, temperature=temperature),
+            sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), irradiance),),
+        )
+        turned = jaxir.orthographic_camera(azimuth, 4.0, 0.07, (17, 19))
+        return float(jaxir.render(scene, turned, jaxir.MWIR, samples=2).radiant_intensity()[0])
+
+    first = run(300.0, 0.5, 1.0, 10.0, 0.0)
+    compiled = len(traced)
+    assert compiled > 0
+    assert run(310, 0.6, 1.5, 20, 10) != first
+    assert len(traced) == compiled

@@ -1,0 +1,97 @@
+"""Wrong input gets one error that names the field, what was got and what was expected."""
+
+import re
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+
+PLATE = ([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], [[0, 1, 2], [0, 2, 3]])
+
+
+def _skin(temperature=300.0, emissivity=0.8, vertices=PLATE[0], faces=PLATE[1], **more):
+    return jaxir.Skin(jaxir.Mesh(vertices, faces), temperature, jaxir.Lambert(emissivity), **more)
+
+
+def _plume(temperature=900.0, coefficient=1.0, spacing=(0.5, 0.5, 0.5), shape=(2, 2, 2)):
+    return jaxir.GridPlume(jaxir.Grid((-3.0, -0.5, -0.5), spacing, shape), temperature, jaxir.GrayGas(coefficient))
+
+
+def _render(scene, camera=None, **more):
+    camera = jaxir.orthographic_camera(0.0, 0.0, 0.1, (4, 4)) if camera is None else camera
+    return jaxir.render(scene, camera, jaxir.MWIR, **more)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: _skin(temperature=[300.0, 301.0, 302.0]), r"Skin.temperature: got shape \(3,\), expected .*\(2,\)"),
+        (lambda: _skin(emissivity=[0.1, 0.2, 0.3]), "Skin.brdf: got parameters of 3 faces, expected 1 or 2"),
+        (lambda: _skin(faces=[[0, 1, 4]]), "Mesh.faces: got indices 0 to 4, expected 0 to 3"),
+        (lambda: _skin(faces=np.zeros((0, 3), int)), "Mesh.faces: got 0 faces"),
+        (lambda: _skin(faces=[[0.0, 1.0, 2.0]]), "Mesh.faces: got float64"),
+        (lambda: _skin(vertices=[[0.0, 0.0]]), r"Mesh.vertices: got shape \(1, 2\)"),
+        (lambda: _skin(vertices="plate"), "Mesh.vertices: got 'plate', expected a number"),
+        (lambda: _skin(part=[0, 1]), "Skin.part: got indices 0 to 1, expected 0 to 0"),
+        (lambda: _skin(part=[0]), r"Skin.part: got .* expected integers \(2,\)"),
+        (lambda: _plume(temperature=np.ones((2, 2, 3))), r"GridPlume.temperature: got shape \(2, 2, 3\)"),
+        (lambda: _plume(shape=(2, 0, 2)), r"Grid.shape: got \(2, 0, 2\)"),
+        (lambda: jaxir.Scene(), "Scene: got neither skin nor plume"),
+        (lambda: jaxir.orthographic_camera(0.0, 0.0, 0.0, (4, 4)), "pixel: got 0.0, expected finite values > 0"),
+        (lambda: jaxir.perspective_camera(0.0, 0.0, -5.0, 1e-3, (4, 4)), "distance: got -5.0"),
+        (lambda: jaxir.orthographic_camera(0.0, 0.0, 1.0, (0, 4)), r"Camera.shape: got \(0, 4\)"),
+        (lambda: jaxir.UniformBackground([[1.0]]), "UniformBackground.value: got shape"),
+        (
+            lambda: _render(jaxir.Scene(_skin(temperature=-1.0))),
+            "Skin.temperature: got -1.0 at index .0., expected finite",
+        ),
+        (lambda: _render(jaxir.Scene(_skin(temperature=[300.0, np.nan]))), r"Skin.temperature: got nan at index \[1\]"),
+        (lambda: _render(jaxir.Scene(_skin(emissivity=1.2))), r"Lambert.emissivity: got 1.2.*\[0, 1\]"),
+        (lambda: _render(jaxir.Scene(plume=_plume(coefficient=-1.0))), "GrayGas.coefficient: got -1.0"),
+        (lambda: _render(jaxir.Scene(plume=_plume(coefficient=np.inf))), "GrayGas.coefficient: got inf"),
+        (lambda: _render(jaxir.Scene(plume=_plume(spacing=(0.5, 0.0, 0.5)))), r"Grid.spacing: got 0.0 at index \[1\]"),
+        (lambda: _render(jaxir.Scene(plume=_plume(temperature=0.0))), "GridPlume.temperature: got 0.0"),
+        (
+            lambda: _render(jaxir.Scene(plume=_plume(coefficient=np.ones((3, 1))))),
+            r"GrayGas.coefficient: got shape \(3, 1\)",
+        ),
+        (
+            lambda: _render(jaxir.Scene(_skin(), atmosphere=jaxir.FixedPath(1.5))),
+            r"FixedPath.transmittance: got 1.5 .*\[0, 1\]",
+        ),
+        (
+            lambda: _render(jaxir.Scene(_skin(), sources=(jaxir.ParallelSource((0.0, 0.0, -2.0), 1.0),))),
+            "ParallelSource.direction: .* expected vectors of length 1",
+        ),
+        (
+            lambda: _render(jaxir.Scene(_skin(), background=jaxir.UniformBackground([1.0, 2.0]))),
+            "UniformBackground.value: got 2 spectral values, expected 1 or 1",
+        ),
+        (
+            lambda: _render(jaxir.Scene(_skin()), jaxir.perspective_camera(0.0, 0.0, 0.6, 1e-3, (4, 4))),
+            "Camera: .* expected less than 1: an eye outside the scene's bounding sphere",
+        ),
+        (lambda: _render(jaxir.Scene(_skin()), samples=3), "samples: got 3, expected an even number"),
+        (lambda: jaxir.signature(jaxir.Scene(_skin()), [0.0, 1.0], jaxir.MWIR), r"views: got shape \(2,\)"),
+        (
+            lambda: jaxir.unoccluded_intensity(jaxir.Scene(_skin(), _plume()), 0.0, 0.0, jaxir.MWIR),
+            "scene: got a plume or no skin",
+        ),
+    ],
+)
+def test_the_error_names_field_got_and_expected(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
+
+
+def test_values_known_only_at_run_time_are_refused_too():
+    @eqx.filter_jit
+    def total(temperature):
+        return _render(jaxir.Scene(_skin(temperature=temperature))).radiance.sum()
+
+    assert bool(jnp.isfinite(total(jnp.asarray(300.0))))
+    with pytest.raises(RuntimeError, match=re.escape("Skin.temperature: expected finite values > 0")):
+        total(jnp.asarray(-300.0))
