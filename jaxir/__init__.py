@@ -1,5 +1,6 @@
 """jaxir: differentiable infrared radiometry of aircraft skin and exhaust plumes, in JAX."""
 
+from jaxir._process import native_loops as native_loops
 from jaxir.geometry.camera import Camera as Camera
 from jaxir.geometry.camera import orthographic_camera as orthographic_camera
 from jaxir.geometry.camera import perspective_camera as perspective_camera
