@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 
-def _rows(name: str) -> list[dict[str, str]]:
+def rows(name: str) -> list[dict[str, str]]:
+    """The rows of an embedded table by column name; lines with # are its provenance."""
     text = resources.files("jaxir").joinpath("data", name).read_text(encoding="utf-8")
     return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
 
@@ -43,7 +44,7 @@ def hot_gas(species: str) -> HotGas:
     """
     shape = HOT_GAS_TEMPERATURE.size, HOT_GAS_EDGES.size - 1
     k, inverse = np.full(shape, np.nan), np.full(shape, np.nan)
-    for row in _rows("hot_gas_narrow_band_50cm.csv"):
+    for row in rows("hot_gas_narrow_band_50cm.csv"):
         if row["species"] == species:
             place = (
                 int(np.searchsorted(HOT_GAS_TEMPERATURE, float(row["T_K"]))),
@@ -94,14 +95,14 @@ COLD_PATH_SPECIES = ("h2o", "h2oc", "umix", "o3", "n2")
 @functools.cache
 def cold_path() -> ColdPath:
     """The embedded fit of the cold atmosphere."""
-    rows = _rows("lowtran7_fit_50cm.csv")
+    table = rows("lowtran7_fit_50cm.csv")
     return ColdPath(
-        row_bin=np.searchsorted(COLD_PATH_EDGES, [float(row["nu_lo"]) for row in rows]).astype(np.int32),
-        species=np.array([COLD_PATH_SPECIES.index(row["species"]) for row in rows], np.int32),
-        log_strength=np.array([float(row["lnc"]) for row in rows]),
-        power=np.array([float(row["a"]) for row in rows]),
-        pressure_power=np.array([float(row["n"]) for row in rows]),
-        temperature_power=np.array([float(row["m"]) for row in rows]),
+        row_bin=np.searchsorted(COLD_PATH_EDGES, [float(row["nu_lo"]) for row in table]).astype(np.int32),
+        species=np.array([COLD_PATH_SPECIES.index(row["species"]) for row in table], np.int32),
+        log_strength=np.array([float(row["lnc"]) for row in table]),
+        power=np.array([float(row["a"]) for row in table]),
+        pressure_power=np.array([float(row["n"]) for row in table]),
+        temperature_power=np.array([float(row["m"]) for row in table]),
     )
 
 

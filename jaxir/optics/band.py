@@ -36,13 +36,14 @@ class Band(eqx.Module):
     """
 
     name: str = eqx.field(static=True)
-    lower: float = eqx.field(static=True, converter=float)
-    upper: float = eqx.field(static=True, converter=float)
-    response: tuple[tuple[float, float], ...] | None = eqx.field(static=True, default=None)
+    lower: float = eqx.field(static=True)
+    upper: float = eqx.field(static=True)
+    response: tuple[tuple[float, float], ...] | None = eqx.field(static=True)
 
-    def __init__(self, name: str, lower: float, upper: float):
+    def __init__(self, name: str, lower: float, upper: float, response: tuple[tuple[float, float], ...] | None = None):
         """Check and keep the edges; they are structure, so a new band compiles anew."""
         self.name, self.lower, self.upper = str(name), float(lower), float(upper)
+        self.response = response
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and 0 < self.lower < self.upper):
             raise ValueError(
                 f"Band {self.name!r}: got edges {self.lower}, {self.upper} um, expected 0 < lower < upper, finite"

@@ -105,7 +105,7 @@ def test_co2_at_4_3_um_line_by_line(pressure, temperature, co2_lines, x64):
     exact = 0.0
     for low in np.unique(nodes.lower):
         inside = (wavenumber >= low) & (wavenumber < low + 50)
-        one = single_bin(low + 25, points=1)
+        one = single_bin(float(low) + 25, points=1)
         exact += float(band_radiance(jnp.asarray(temperature), one)[0]) * np.mean(-np.expm1(-path * kappa[inside]))
     got = float(radiance(gas, temperature, path, nodes)[0])
     assert got == pytest.approx(exact, rel=0.08)
