@@ -32,6 +32,7 @@ from jaxir.optics.phase import TabulatedPhase as TabulatedPhase
 from jaxir.optics.planck import band_radiance as band_radiance
 from jaxir.optics.planck import brightness_temperature as brightness_temperature
 from jaxir.optics.profile import us_standard_1976 as us_standard_1976
+from jaxir.optics.resolve import nodes_for as nodes_for
 from jaxir.optics.resolve import resolved_nodes as resolved_nodes
 from jaxir.render import Image as Image
 from jaxir.render import Signature as Signature

@@ -16,6 +16,7 @@ from jaxir.optics._tables import ABSENT, HOT_GAS_EDGES, HOT_GAS_TEMPERATURE, hot
 from jaxir.optics.band import Nodes
 from jaxir.optics.gas import AbstractGas
 from jaxir.optics.k_distribution import log_quantile, quantile_series
+from jaxir.optics.spline import spline_matrix, spline_weights
 
 ATMOSPHERE = 101325.0  # Pa
 # Lorentz half-widths at 273 K and 1 atm [cm-1] in CO2, H2O, CO, O2, N2; resonant part of the own species (NASA
@@ -215,25 +216,11 @@ def _blend(level: Float[Array, "*cell level"], table: Float[Array, "level node"]
 
 @functools.cache
 def _spline() -> tuple[np.ndarray, np.ndarray]:
-    """Inner knots and the matrix from spline features to weights of the table's temperatures."""
-    u = np.log(HOT_GAS_TEMPERATURE / HOT_GAS_TEMPERATURE[0])
-    inner = u[2:-2]
-    features = np.concatenate(
-        [u[:, None] ** np.arange(4), np.maximum(u[:, None] - inner, 0) ** 3], axis=1
-    )  # not-a-knot: no break at the second and the last but one temperature
-    return inner, np.linalg.inv(features)
+    levels = np.log(HOT_GAS_TEMPERATURE)
+    return levels, spline_matrix(levels)
 
 
 def _level_weights(temperature: Float[Array, "*cell"]) -> Float[Array, "*cell level"]:
-    """Weights of the table's temperatures: a cubic spline in ln T, continued by its tangents.
-
-    Differentiable in `temperature`, once continuously at 300 and 2500 K.
-    """
-    inner, matrix = _spline()
-    u = jnp.log(temperature / HOT_GAS_TEMPERATURE[0])
-    held = jnp.clip(u, 0, np.log(HOT_GAS_TEMPERATURE[-1] / HOT_GAS_TEMPERATURE[0]))
-    past = [jnp.maximum(held - knot, 0) for knot in inner.tolist()]
-    value = [jnp.ones_like(u), held, held**2, held**3, *(p**3 for p in past)]
-    slope = [jnp.zeros_like(u), jnp.ones_like(u), 2 * held, 3 * held**2, *(3 * p**2 for p in past)]
-    features = jnp.stack(value, axis=-1) + (u - held)[..., None] * jnp.stack(slope, axis=-1)
-    return jnp.matmul(features, as_float(matrix), precision=jax.lax.Precision.HIGHEST)
+    """Weights of the table's temperatures: a cubic spline in ln T, continued by its tangents."""
+    levels, matrix = _spline()
+    return spline_weights(as_float(levels), as_float(matrix), jnp.log(temperature))

@@ -7,11 +7,13 @@ unrelated need two quantiles.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Array, Float
 
-from jaxir.optics.band import Band, Nodes, build_nodes
+from jaxir.optics.band import Band, Nodes, build_nodes, gray_nodes
 
 CO2_H2O_OVERLAP = ((800.0, 1150.0), (3300.0, 3800.0), (4800.0, 5150.0))
 """Where CO2 and H2O of combustion products both matter [cm-1]: elsewhere between 800 and 9300 cm-1 a common quantile
@@ -102,6 +104,65 @@ def resolved_nodes(
         response=response[:, repeat],
         names=[band.name for band in bands],
     )
+
+
+class Resolution(NamedTuple):
+    """Arguments of `resolved_nodes`: bin width [cm-1], quantiles per bin, quantiles per gas in overlap bins."""
+
+    width: float
+    points: int
+    pair_points: int
+
+
+RESOLUTIONS = (
+    Resolution(200.0, 1, 0),
+    Resolution(50.0, 1, 0),
+    Resolution(200.0, 4, 3),
+    Resolution(50.0, 2, 2),
+    Resolution(50.0, 4, 3),
+    Resolution(50.0, 6, 4),
+    Resolution(50.0, 8, 5),
+    Resolution(50.0, 12, 8),
+)
+
+
+def nodes_for(
+    radiance: Callable[[Nodes], Float[Array, "*batch band"]],
+    bands: Band | Sequence[Band],
+    rtol: float,
+    resolutions: Sequence[Resolution] = RESOLUTIONS,
+) -> Nodes:
+    """The fewest nodes that a scene needs: one per band if nothing in it depends on the wavenumber.
+
+    Gray nodes, then each of `resolutions` from few nodes to many, are compared with the one of most nodes; the first
+    that agrees is returned. Each try compiles for its number of nodes.
+
+    Args:
+        radiance: in-band results of a few typical rays, e.g. a function that renders a coarse image on given nodes;
+            equal random numbers in every call.
+        bands: at least one band.
+        rtol: largest relative difference of any result.
+        resolutions: candidates, at least one; the finest is the reference.
+
+    Returns:
+        Nodes. The reference itself if nothing coarser meets `rtol`.
+
+    Raises:
+        ValueError: as `resolved_nodes`; rtol not > 0; results that are not finite.
+    """
+    if not (np.isfinite(rtol) and rtol > 0):
+        raise ValueError(f"rtol: got {rtol}, expected a number > 0")
+    bands = (bands,) if isinstance(bands, Band) else tuple(bands)
+    if not resolutions:
+        raise ValueError("resolutions: got none, expected at least one")
+    fine = sorted((resolved_nodes(bands, *resolution) for resolution in resolutions), key=lambda nodes: nodes.count)
+    reference = np.asarray(radiance(fine[-1]), np.float64)
+    if not np.all(np.isfinite(reference)):
+        raise ValueError("radiance: got values that are not finite on the finest nodes")
+    for nodes in (gray_nodes(bands), *fine[:-1]):
+        if np.all(np.abs(np.asarray(radiance(nodes), np.float64) - reference) <= rtol * np.abs(reference)):
+            return nodes
+    return fine[-1]
 
 
 def _square(points: int) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ import pytest
 
 from jaxir.optics.band import LWIR, MWIR, SWIR, Band, gray_nodes, sensor_band
 from jaxir.optics.planck import band_radiance
-from jaxir.optics.resolve import quantiles, resolved_nodes
+from jaxir.optics.resolve import Resolution, nodes_for, quantiles, resolved_nodes
 
 
 def bins(nodes):
@@ -90,8 +90,48 @@ def test_bad_response_is_refused(wavelength, response, what):
 
 @pytest.mark.parametrize(
     "arguments",
-    [{"bands": ()}, {"bands": "MWIR"}, {"width": 0.0}, {"width": np.inf}, {"points": 0}, {"pair_points": 99}],
+    [{"bands": ()}, {"width": 0.0}, {"width": np.inf}, {"points": 0}, {"pair_points": 99}],
 )
 def test_bad_arguments_are_refused(arguments):
     with pytest.raises(ValueError, match="got"):
         resolved_nodes(**{"bands": MWIR, **arguments})
+
+
+def test_gray_scenes_need_one_node_per_band():
+    nodes = nodes_for(lambda nodes: nodes.in_band(0.8 * band_radiance(jnp.asarray(400.0), nodes)), [MWIR, LWIR], 1e-4)
+    assert nodes.count == 2
+
+
+def test_coarsest_nodes_that_meet_the_tolerance():
+    def gas_like(nodes):  # a spectrum of lines: k = exp(6 g), stronger at the band's red end
+        depth = 0.01 * jnp.exp(6 * nodes.g[:, 0]) * (2500 / nodes.lower)
+        return nodes.in_band(-jnp.expm1(-depth) * band_radiance(jnp.asarray(900.0), nodes))
+
+    counts, ladder = [], [Resolution(100.0, n, 0) for n in (16, 1, 2, 4, 8)]
+    reference = gas_like(resolved_nodes(MWIR, *ladder[0]))
+    for rtol in (0.2, 0.01, 1e-4, 1e-9):
+        nodes = nodes_for(gas_like, MWIR, rtol, ladder)
+        assert np.all(np.abs(gas_like(nodes) / reference - 1) <= rtol)
+        counts.append(nodes.count)
+    assert counts == sorted(counts) and counts[0] < counts[-1] == resolved_nodes(MWIR, *ladder[0]).count
+
+
+def test_bad_searches_are_refused():
+    for change, what in (({"rtol": 0.0}, "rtol"), ({"resolutions": ()}, "none"), ({"bands": ()}, "at least one")):
+        with pytest.raises(ValueError, match=what):
+            nodes_for(**{"radiance": lambda nodes: nodes.weight, "bands": MWIR, "rtol": 0.1, **change})
+    with pytest.raises(ValueError, match="not finite"):
+        nodes_for(lambda nodes: nodes.weight * jnp.nan, MWIR, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("hot_strength", "cold_strength", "exact"), [(0.05, 0.05, 0.040379), (0.5, 0.5, 0.093672), (2.0, 2.0, 0.138059)]
+)
+def test_hot_line_through_the_same_cold_line(hot_strength, cold_strength, exact):
+    """Lorentz lines s w / (nu^2 + w^2), w = 0.05, in a window of +-1: one quantile serves both."""
+    g, weight = quantiles(24)
+    offset = 1 - g  # the line is strongest at its centre
+    depth = {s: s * 0.05 / (offset**2 + 0.05**2) for s in (hot_strength, cold_strength)}
+    emitted, passed = -np.expm1(-depth[hot_strength]), np.exp(-depth[cold_strength])
+    assert weight @ (emitted * passed) == pytest.approx(exact, rel=1e-3)
+    assert (weight @ emitted) * (weight @ passed) > 1.3 * exact
