@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,7 +14,7 @@ from jaxtyping import Array, Float, Int, Key
 from tqdm import tqdm
 
 from jaxir._arrays import Check, as_float, enforce
-from jaxir.geometry.camera import TILE, Camera, fitted_camera, view_frame
+from jaxir.geometry.camera import TILE, Camera, fitted_camera, pixel_strata, stratum_points, view_frame
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.scene.background import AbstractUniformBackground
 from jaxir.scene.scene import Scene
@@ -120,7 +119,7 @@ def render(
     Differentiable, in both modes, in every radiometric leaf of the scene; the geometry is seen as fixed.
     """
     nodes = as_nodes(bands)
-    strata = _strata(samples)
+    strata = pixel_strata(samples)
     key = jax.random.key(0) if key is None else key
     reflection = reflection_of(scene, reflection)
     nodes = enforce(
@@ -208,10 +207,9 @@ def _chunk(
     reflection: Reflection | None,
 ) -> tuple[Float[Array, "tile pixel band"], Float[Array, "tile pixel band"], Float[Array, "_tile _pixel band"]]:
     """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles."""
-    size, pixels = _chunk_size(camera, optical.scene, reflection), TILE * TILE
-    start = scene_radius(optical.scene, camera)
+    size = _chunk_size(camera, optical.scene, reflection)
+    start = optical.scene.radius(camera.target)
     tile = begin + jnp.arange(size, dtype=jnp.int32)
-    cells = as_float(np.array(strata))
     background = optical.scene.background
     uniform = background is None or isinstance(background, AbstractUniformBackground)
 
@@ -222,19 +220,18 @@ def _chunk(
         if not uniform:
             empty = optical.nodes.in_band(empty_radiance(optical, paths.rays.direction))
             seen = jnp.concatenate([seen, empty], axis=-1)
-        return seen.reshape(size, pixels, -1)
+        return seen.reshape(size, TILE * TILE, -1)
 
     def stratum(carry: tuple[Array, Array], index: Array) -> tuple[tuple[Array, Array], None]:
-        corner = jnp.stack([index % strata[0], index // strata[0]]).astype(cells.dtype)
-        own = jax.random.fold_in(jax.random.fold_in(key, begin), index)
-        jitter = jax.random.uniform(own, (2, size, pixels, 2), cells.dtype)
-        offset = (corner[None, None, None, :] + jitter) / cells[None, None, None, :]
-        pair = lax.map(sample, (offset, jax.random.split(jax.random.fold_in(own, 1), 2)))
+        own = jax.random.fold_in(key, begin)
+        offset = stratum_points(own, index, size, strata)
+        anew = jax.random.fold_in(jax.random.fold_in(own, index), 1)
+        pair = lax.map(sample, (offset, jax.random.split(anew, 2)))
         total, square = carry
         return (total + (pair[0] + pair[1]) / 2, square + (pair[0] - pair[1]) ** 2 / 4), None
 
     count, bands = strata[0] * strata[1], optical.nodes.response.shape[0]
-    zero = jnp.zeros((size, pixels, bands if uniform else 2 * bands), cells.dtype)
+    zero = jnp.zeros((size, TILE * TILE, bands if uniform else 2 * bands), start.dtype)
     (total, square), _ = lax.scan(stratum, (zero, zero), jnp.arange(count, dtype=jnp.int32))
     mean, variance = total / count, square[..., :bands] / count**2
     if uniform:
@@ -256,30 +253,15 @@ def _over_chunks(function: Callable[[Array], Any], items: Array, inputs: Any, la
     return jax.tree.map(lambda *parts: jnp.stack(parts), *results)
 
 
-def scene_radius(scene: Scene, camera: Camera) -> Float[Array, ""]:
-    """Radius about the camera's target of a sphere that holds the scene, plus .1 % [m]."""
-    offset = scene.extent() - camera.target[None, :]
-    return lax.stop_gradient(jnp.sqrt(jnp.max(jnp.sum(offset * offset, axis=-1))) * 1.001)
-
-
 def _eye_outside(scene: Scene, camera: Camera) -> Check:
     """Rays start on the scene's bounding sphere, so the eye must be beyond it."""
-    reach = scene_radius(scene, camera) * camera.inverse_range
+    reach = scene.radius(camera.target) * camera.inverse_range
     return Check(
         "Camera: (radius of the scene about the target) / distance",
         reach,
         reach < 1,
         "less than 1: an eye outside the scene's bounding sphere",
     )
-
-
-def _strata(samples: int) -> tuple[int, int]:
-    """Columns and rows of strata in a pixel: samples / 2 of them, as square as its divisors allow."""
-    if samples < 2 or samples % 2:
-        raise ValueError(f"samples: got {samples}, expected an even number >= 2 (two points in each stratum)")
-    half = samples // 2
-    rows = max(d for d in range(1, math.isqrt(half) + 1) if half % d == 0)
-    return half // rows, rows
 
 
 def _sqrt(value: Array) -> Array:
@@ -383,7 +365,7 @@ def signature(
     if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     nodes = as_nodes(bands)
-    strata = _strata(samples)
+    strata = pixel_strata(samples)
     base = jax.random.key(0) if key is None else key
     extent = scene.extent()
     cameras = jax.vmap(lambda a: fitted_camera(a[0], a[1], extent, shape, distance))(aspect)
