@@ -7,17 +7,18 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxir._vector import dot
-from jaxir.geometry.mesh import any_hit, closest_hit
+from jaxir.geometry.mesh import Mesh, any_hit, closest_hit, face_normal
 from jaxir.geometry.ray import Rays
 from jaxir.geometry.triangle import Hit
 from jaxir.optics.brdf import AbstractBrdf
 from jaxir.scene.scene import Scene
 from jaxir.transport.lights import Light, meet_light, sample_light
 from jaxir.transport.mis import mis_weight
-from jaxir.transport.reflection import Reflection
+from jaxir.transport.reflection import Reflection, concavity
 
 
 class Vertex(eqx.Module):
@@ -110,20 +111,24 @@ def look_around(
         face = jnp.broadcast_to(vertex.face[None], towards.shape[:-1])
         return Rays(origin.reshape(-1, 3), towards.reshape(-1, 3)), face.reshape(samples * face.shape[1])
 
+    hollow = _hollow(mesh, vertex)
     reach = jnp.where(factor > 0, distance, 0)
     seen = [jnp.zeros((len(lights), 0) + vertex.face.shape, bool)]
     if count and lights:
         flat, face = rays(omega[:, :count].reshape((-1,) + omega.shape[2:]))
-        hidden = any_hit(mesh, flat, t_max=reach[:, :count].reshape(-1), leaving=face)
+        end = reach[:, :count].reshape(-1)
+        hidden = lax.cond(
+            hollow, lambda: any_hit(mesh, flat, t_max=end, leaving=face), lambda: jnp.zeros(end.shape, bool)
+        )
         seen = [~hidden.reshape(reach[:, :count].shape)]
     leg = hit = None
     if legs:
         limit = jnp.max(reach[:, count:], axis=0, initial=0) if own else jnp.zeros_like(leg_factor)
         if go_on is not None:
-            end = jnp.where(go_on & (leg_factor[0] > 0), jnp.inf, limit[0])
-            limit = limit.at[0].set(end)
+            limit = limit.at[0].set(jnp.where(go_on & (leg_factor[0] > 0), jnp.inf, limit[0]))
         flat, face = rays(leg_omega)
-        met = closest_hit(mesh, flat, t_max=limit.reshape(-1), leaving=face)
+        search = partial(closest_hit, mesh, flat, t_max=limit.reshape(-1), leaving=face)
+        met = lax.cond(hollow, search, lambda: no_hit(flat))
         free = met.t.reshape(limit.shape)
         if own:
             seen.append(free[None] >= distance[:, count:])
@@ -135,6 +140,27 @@ def look_around(
     if not lights:
         return None, leg, hit
     return Around(omega, distance, jnp.where(jnp.concatenate(seen, axis=1), factor, 0)), leg, hit
+
+
+def _hollow(mesh: Mesh, vertex: Vertex) -> Bool[Array, ""]:
+    """False where nothing can hide anything: skin of a handful of faces, flat, or closed, convex, seen from outside."""
+    if mesh.tree is not None:
+        return jnp.asarray(True)
+    outward = face_normal(mesh, jnp.maximum(vertex.face, 0))
+    inside = (vertex.face >= 0) & (jnp.sum(vertex.normal * outward, axis=-1) < 0) & mesh.closed
+    return jnp.any(jnp.greater(*concavity(mesh))) | jnp.any(inside)
+
+
+def no_hit(rays: Rays) -> Hit:
+    """The record of rays that meet nothing."""
+    none = jnp.zeros_like(rays.origin)
+    return Hit(
+        face=jnp.full(rays.count, -1, jnp.int32),
+        t=jnp.full(rays.count, jnp.inf, none.dtype),
+        barycentric=none,
+        point=rays.origin,
+        normal=none,
+    )
 
 
 def _draw(

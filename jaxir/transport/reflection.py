@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, non_negative
 from jaxir.geometry.form_factor import disc_above
+from jaxir.geometry.mesh import Mesh, face_normal
 from jaxir.geometry.sampling import AbstractSampler, Independent
 from jaxir.optics.brdf import Lambert
 from jaxir.scene.background import AbstractBackground, AbstractUniformBackground
@@ -106,7 +107,7 @@ class ClosedForm(AbstractDirect):
     """No samples: form factors of discs and of a uniform background over convex Lambert skin.
 
     Applies only where it is exact: each disc lies wholly above or wholly below the plane of every face, the skin is
-    closed and convex or flat (so nothing hides a light), and there is no plume.
+    flat, or closed, convex and seen from outside (so nothing hides a light), and there is no plume.
     """
 
     def counts(self) -> tuple[int, int]:
@@ -129,22 +130,10 @@ class ClosedForm(AbstractDirect):
                     f"ClosedForm: got {type(light).__name__}, expected DiscSources and a uniform background; sample it"
                 )
         mesh = scene.skin.mesh
-        vector = mesh.area_vectors()
-        length = jnp.sqrt(jnp.sum(vector * vector, axis=-1, keepdims=True))
-        normal = vector / jnp.where(length > 0, length, 1)
-        corner = mesh.corners()[:, 0]
-        level = jnp.sum(normal * corner, axis=-1)
-        height = normal @ mesh.vertices.T - level[:, None]
-        rise = jnp.max(height if mesh.closed else jnp.abs(height), axis=-1)  # both sides of open skin are lit
-        grain = 64 * jnp.finfo(rise.dtype).eps * (1 + jnp.max(jnp.abs(mesh.vertices)))
-        checks = [
-            Check(
-                "ClosedForm: rise of vertices over a face [m]",
-                rise,
-                rise <= grain,
-                "0: skin closed and convex, or flat",
-            )
-        ]
+        rise, grain = concavity(mesh)
+        normal, corner = face_normal(mesh, jnp.arange(mesh.count, dtype=jnp.int32)), mesh.corners()[:, 0]
+        convex = "0: skin closed and convex, or flat"
+        checks = [Check("ClosedForm: rise of vertices over a face [m]", rise, rise <= grain, convex)]
         for disc in scene.area_sources:
             assert isinstance(disc, DiscSource)
             above = jnp.stack([_above(corner, side * normal, disc) for side in (1, -1)])
@@ -157,6 +146,17 @@ class ClosedForm(AbstractDirect):
                 )
             )
         return checks
+
+
+def concavity(mesh: Mesh) -> tuple[Float[Array, " face"], Float[Array, ""]]:
+    """How far vertices rise over the plane of each face [face] [m], and the rounding of that [] [m].
+
+    Nothing can come between a face and a light above it where none rises. Both sides count on open skin.
+    """
+    normal = face_normal(mesh, jnp.arange(mesh.count, dtype=jnp.int32))
+    height = normal @ mesh.vertices.T - jnp.sum(normal * mesh.corners()[:, 0], axis=-1)[:, None]
+    rise = jnp.max(height if mesh.closed else jnp.abs(height), axis=-1)
+    return rise, 64 * jnp.finfo(rise.dtype).eps * jnp.max(jnp.abs(mesh.vertices))
 
 
 def _above(point: Array, normal: Array, disc: DiscSource) -> Array:
