@@ -158,7 +158,10 @@ def solve(
         first = jnp.concatenate([first, jax.vmap(lambda v: at_values(coordinates, v))(values)])
     size = _effect(problem, first[0])
     if solver is None:  # in units of one standard deviation: a tenth leads near, a hundredth is the answer
-        solvers = (optx.LevenbergMarquardt(rtol=1e-2, atol=1e-1), optx.LevenbergMarquardt(rtol=1e-6, atol=1e-2))
+        solvers: tuple[Any, Any] = (
+            optx.LevenbergMarquardt(rtol=1e-2, atol=1e-1),
+            optx.LevenbergMarquardt(rtol=1e-6, atol=1e-2),
+        )
     else:
         solvers = (solver, solver)
     ends, losses, steps, results = _solve(problem, first, size, solvers, max_steps)
