@@ -23,7 +23,9 @@ from jaxir.render import unoccluded_intensity as unoccluded_intensity
 from jaxir.scene.atmosphere import FixedPath as FixedPath
 from jaxir.scene.background import BlackbodyBackground as BlackbodyBackground
 from jaxir.scene.background import UniformBackground as UniformBackground
+from jaxir.scene.jet import JetPlume as JetPlume
 from jaxir.scene.plume import GridPlume as GridPlume
 from jaxir.scene.scene import Scene as Scene
 from jaxir.scene.skin import Skin as Skin
 from jaxir.scene.source import ParallelSource as ParallelSource
+from jaxir.transport.jet import resolve_jet as resolve_jet

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check
 from jaxir.scene.atmosphere import AbstractAtmosphere
 from jaxir.scene.background import AbstractBackground
+from jaxir.scene.jet import JetPlume
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.skin import Skin
 from jaxir.scene.source import ParallelSource
@@ -29,7 +30,7 @@ class Scene(eqx.Module):
     """
 
     skin: Skin | None = None
-    plume: GridPlume | None = None
+    plume: GridPlume | JetPlume | None = None
     sources: tuple[ParallelSource, ...] = ()
     background: AbstractBackground | None = None
     atmosphere: AbstractAtmosphere | None = None
@@ -39,10 +40,10 @@ class Scene(eqx.Module):
             raise ValueError("Scene: got neither skin nor plume, expected at least one of them")
 
     def extent(self) -> Float[Array, "corner 3"]:
-        """Points whose convex hull holds skin and plume [corner, 3] [m]: mesh vertices and corners of the grid."""
+        """Points whose convex hull holds skin and plume [corner, 3] [m]: mesh vertices and corners of the plume."""
         points = [] if self.skin is None else [self.skin.mesh.vertices]
         if self.plume is not None:
-            points.append(self.plume.grid.corners())
+            points.append(self.plume.extent())
         return jnp.concatenate(points)
 
     def checks(self) -> list[Check]:

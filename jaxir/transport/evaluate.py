@@ -11,10 +11,11 @@ from jaxtyping import Array, Float, Int
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import Nodes
 from jaxir.optics.planck import band_radiance
+from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import per_node
-from jaxir.transport.crossing_sum import crossing_sum
-from jaxir.transport.march import march, transmittance
+from jaxir.transport.jet import JetMedium, jet_medium
+from jaxir.transport.medium import GridMedium, grid_medium
 from jaxir.transport.paths import Paths
 
 
@@ -25,8 +26,7 @@ class Radiometry(eqx.Module):
         scene: the scene.
         nodes: the spectral axis.
         skin_source: blackbody radiance of each face [face, node] [W m-2 sr-1].
-        extinction: of each cell [nx, ny, nz, node] [m-1].
-        emission: absorption times blackbody radiance of each cell [nx, ny, nz, node] [W m-3 sr-1].
+        medium: the plume.
         irradiance: of each parallel source [source, node] [W m-2].
         background: [node] [W m-2 sr-1].
         transmittance: of the atmosphere [node].
@@ -38,8 +38,7 @@ class Radiometry(eqx.Module):
     scene: Scene
     nodes: Nodes
     skin_source: Float[Array, "face node"] | None
-    extinction: Float[Array, "nx ny nz node"] | None
-    emission: Float[Array, "nx ny nz node"] | None
+    medium: GridMedium | JetMedium | None
     irradiance: Float[Array, "source node"] | None
     background: Float[Array, " node"] | None
     transmittance: Float[Array, " node"] | None
@@ -49,17 +48,15 @@ class Radiometry(eqx.Module):
 def radiometry(scene: Scene, nodes: Nodes) -> Radiometry:
     """Evaluate temperatures, gas and lights on the nodes. Differentiable in every radiometric leaf of the scene."""
     skin, plume, background, air = scene.skin, scene.plume, scene.background, scene.atmosphere
-    extinction = emission = None
+    medium: GridMedium | JetMedium | None = None
     if plume is not None:
-        extinction = plume.gas.absorption(nodes, plume.temperature)
-        emission = extinction * band_radiance(plume.temperature, nodes)
+        medium = grid_medium(plume, nodes) if isinstance(plume, GridPlume) else jet_medium(plume, nodes)
     sources = [per_node("ParallelSource.irradiance", s.irradiance, nodes) for s in scene.sources]
     return Radiometry(
         scene=scene,
         nodes=nodes,
         skin_source=None if skin is None else band_radiance(skin.temperature, nodes),
-        extinction=extinction,
-        emission=emission,
+        medium=medium,
         irradiance=jnp.stack(sources) if sources else None,
         background=None if background is None else background.radiance(nodes),
         transmittance=None if air is None else air.transmittance(nodes),
@@ -79,18 +76,15 @@ def evaluate(optical: Radiometry, paths: Paths) -> Float[Array, "ray node"]:
     Returns:
         Radiance [ray, node] [W m-2 sr-1], integrated over each node's bin.
 
-    Differentiable, in both modes, in every radiometric leaf of the scene; not in its geometry.
+    Differentiable, in both modes, in every radiometric leaf of the scene and in the shape of a jet; not in
+    other geometry.
     """
     radiance = _behind_plume(optical, paths)
-    grid = None if optical.scene.plume is None else optical.scene.plume.grid
-    if grid is not None and optical.extinction is not None and optical.emission is not None:
-        if paths.crossings is None:
-            radiance = march(grid, optical.extinction, optical.emission, paths.rays, paths.length, radiance)
-        else:
-            cells = (-1, optical.nodes.count)
-            radiance = crossing_sum(
-                paths.crossings, optical.extinction.reshape(cells), optical.emission.reshape(cells), radiance
-            )
+    medium = optical.medium
+    if isinstance(medium, GridMedium) and paths.crossings is not None:
+        radiance = medium.listed_leg(paths.crossings, radiance)
+    elif medium is not None:
+        radiance = medium.leg(paths.rays, paths.length, radiance)
     return through_air(optical, radiance)
 
 
@@ -134,10 +128,10 @@ def _light_on_skin(optical: Radiometry, point: Array, lit: Array) -> Array:
     beams = []
     for source, sees, irradiance in zip(optical.scene.sources, lit, optical.irradiance, strict=True):
         beam = jnp.where(sees[:, None], irradiance[None, :], 0)
-        if optical.scene.plume is not None and optical.extinction is not None:
+        if optical.medium is not None:
             toward = jnp.broadcast_to(-source.direction, point.shape)
             reach = jnp.where(sees, jnp.inf, 0)
-            beam = beam * transmittance(optical.scene.plume.grid, optical.extinction, Rays(point, toward), reach)
+            beam = beam * optical.medium.transmittance(Rays(point, toward), reach)
         beams.append(beam)
     return jnp.stack(beams)
 

@@ -12,6 +12,7 @@ from jaxir.geometry.mesh import closest_hit, occluded
 from jaxir.geometry.ray import Bundle, Rays
 from jaxir.geometry.triangle import Hit
 from jaxir.geometry.walk import Crossings, crossings
+from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
 
 
@@ -24,7 +25,7 @@ class Paths(eqx.Module):
         normal: unit normal on the side the ray came from [ray, 3], minus the ray's direction where the skin is not
             met; None without skin.
         lit: whether the skin at the hit sees each parallel source [source, ray]; None without skin or sources.
-        crossings: cells of the plume crossed in front of the skin; None without a plume, or where the walk is
+        crossings: cells of the plume crossed in front of the skin; None without a gridded plume, or where the walk is
             repeated at every evaluation instead of stored.
     """
 
@@ -78,11 +79,11 @@ def _lit(scene: Scene, hit: Hit, normal: Array, travel: Array) -> Array:
 
 
 def store_crossings(scene: Scene, paths: Paths) -> Paths:
-    """Paths with the crossed cells stored, so that evaluations need not walk the grid again.
+    """Paths with the crossed cells of a gridded plume stored, so that evaluations need not walk the grid again.
 
     Worth its memory when the same paths are evaluated many times, as in a fit.
     """
-    if scene.plume is None:
+    if not isinstance(scene.plume, GridPlume):
         return paths
     grid = lax.stop_gradient(scene.plume.grid)
     return eqx.tree_at(
