@@ -1,5 +1,6 @@
 """jaxir: differentiable infrared radiometry of aircraft skin and exhaust plumes, in JAX."""
 
+from jaxir._process import native_loops as native_loops
 from jaxir.geometry.camera import Camera as Camera
 from jaxir.geometry.camera import orthographic_camera as orthographic_camera
 from jaxir.geometry.camera import perspective_camera as perspective_camera
@@ -11,15 +12,28 @@ from jaxir.optics.band import SWIR as SWIR
 from jaxir.optics.band import Band as Band
 from jaxir.optics.band import Nodes as Nodes
 from jaxir.optics.band import gray_nodes as gray_nodes
+from jaxir.optics.band import sensor_band as sensor_band
 from jaxir.optics.brdf import Lambert as Lambert
+from jaxir.optics.brdf_parts import BrdfPerFace as BrdfPerFace
+from jaxir.optics.brdf_table import BrdfTable as BrdfTable
+from jaxir.optics.cold_path import slant_range as slant_range
+from jaxir.optics.combustion import combustion_products as combustion_products
 from jaxir.optics.gas import GrayGas as GrayGas
+from jaxir.optics.microfacet import RoughConductor as RoughConductor
+from jaxir.optics.narrow_band import NarrowBandGas as NarrowBandGas
+from jaxir.optics.paint import SandfordRobertson as SandfordRobertson
 from jaxir.optics.planck import band_radiance as band_radiance
 from jaxir.optics.planck import brightness_temperature as brightness_temperature
+from jaxir.optics.profile import us_standard_1976 as us_standard_1976
+from jaxir.optics.resolve import resolved_nodes as resolved_nodes
 from jaxir.render import Image as Image
 from jaxir.render import Signature as Signature
 from jaxir.render import render as render
 from jaxir.render import signature as signature
 from jaxir.render import unoccluded_intensity as unoccluded_intensity
+from jaxir.scene.air_path import StandardAtmosphere as StandardAtmosphere
+from jaxir.scene.air_path import TableAtmosphere as TableAtmosphere
+from jaxir.scene.air_path import UniformAtmosphere as UniformAtmosphere
 from jaxir.scene.atmosphere import FixedPath as FixedPath
 from jaxir.scene.background import BlackbodyBackground as BlackbodyBackground
 from jaxir.scene.background import UniformBackground as UniformBackground

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,7 +14,7 @@ from jaxtyping import Array, Float, Int, Key
 from tqdm import tqdm
 
 from jaxir._arrays import Check, as_float, enforce
-from jaxir.geometry.camera import TILE, Camera, fitted_camera, view_frame
+from jaxir.geometry.camera import TILE, Camera, fitted_camera, pixel_strata, stratum_points, view_frame
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.scene.scene import Scene
 from jaxir.transport.evaluate import Radiometry, empty_radiance, evaluate, radiometry, unoccluded_radiance
@@ -92,7 +91,7 @@ def render(
     geometry is seen as fixed.
     """
     nodes = as_nodes(bands)
-    strata = _strata(samples)
+    strata = pixel_strata(samples)
     key = jax.random.key(0) if key is None else key
     nodes = enforce(nodes, [*scene.checks(), *camera.checks(), _eye_outside(scene, camera)])
     optical = _radiometry(scene, nodes)
@@ -128,26 +127,23 @@ def _chunk(
     optical: Radiometry, camera: Camera, key: Array, begin: Int[Array, ""], strata: tuple[int, int]
 ) -> tuple[Float[Array, "tile pixel band"], Float[Array, "tile pixel band"]]:
     """Mean radiance and its variance in the pixels of one chunk of tiles."""
-    size, pixels = _chunk_size(camera), TILE * TILE
-    start = scene_radius(optical.scene, camera)
+    size = _chunk_size(camera)
+    start = optical.scene.radius(camera.target)
     tile = begin + jnp.arange(size, dtype=jnp.int32)
-    cells = as_float(np.array(strata))
 
     def sample(offset: Array) -> Array:
         screen = camera.screen(tile, offset).reshape(-1, 2)
         paths = trace(optical.scene, camera.bundle(screen, start))
-        return optical.nodes.in_band(evaluate(optical, paths)).reshape(size, pixels, -1)
+        return optical.nodes.in_band(evaluate(optical, paths)).reshape(size, TILE * TILE, -1)
 
     def stratum(carry: tuple[Array, Array], index: Array) -> tuple[tuple[Array, Array], None]:
-        corner = jnp.stack([index % strata[0], index // strata[0]]).astype(cells.dtype)
-        own = jax.random.fold_in(jax.random.fold_in(key, begin), index)
-        jitter = jax.random.uniform(own, (2, size, pixels, 2), cells.dtype)
-        pair = lax.map(sample, (corner[None, None, None, :] + jitter) / cells[None, None, None, :])
+        offset = stratum_points(jax.random.fold_in(key, begin), index, size, strata)
+        pair = lax.map(sample, offset)
         total, square = carry
         return (total + (pair[0] + pair[1]) / 2, square + (pair[0] - pair[1]) ** 2 / 4), None
 
     count = strata[0] * strata[1]
-    zero = jnp.zeros((size, pixels, optical.nodes.response.shape[0]), cells.dtype)
+    zero = jnp.zeros((size, TILE * TILE, optical.nodes.response.shape[0]), start.dtype)
     (total, square), _ = lax.scan(stratum, (zero, zero), jnp.arange(count, dtype=jnp.int32))
     return total / count, square / count**2
 
@@ -162,30 +158,15 @@ def _over_chunks(function: Callable[[Array], Any], items: Array, inputs: Any, la
     return jax.tree.map(lambda *parts: jnp.stack(parts), *results)
 
 
-def scene_radius(scene: Scene, camera: Camera) -> Float[Array, ""]:
-    """Radius about the camera's target of a sphere that holds the scene, plus .1 % [m]."""
-    offset = scene.extent() - camera.target[None, :]
-    return lax.stop_gradient(jnp.sqrt(jnp.max(jnp.sum(offset * offset, axis=-1))) * 1.001)
-
-
 def _eye_outside(scene: Scene, camera: Camera) -> Check:
     """Rays start on the scene's bounding sphere, so the eye must be beyond it."""
-    reach = scene_radius(scene, camera) * camera.inverse_range
+    reach = scene.radius(camera.target) * camera.inverse_range
     return Check(
         "Camera: (radius of the scene about the target) / distance",
         reach,
         reach < 1,
         "less than 1: an eye outside the scene's bounding sphere",
     )
-
-
-def _strata(samples: int) -> tuple[int, int]:
-    """Columns and rows of strata in a pixel: samples / 2 of them, as square as its divisors allow."""
-    if samples < 2 or samples % 2:
-        raise ValueError(f"samples: got {samples}, expected an even number >= 2 (two points in each stratum)")
-    half = samples // 2
-    rows = max(d for d in range(1, math.isqrt(half) + 1) if half % d == 0)
-    return half // rows, rows
 
 
 def _sqrt(value: Array) -> Array:
@@ -285,7 +266,7 @@ def signature(
     if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     nodes = as_nodes(bands)
-    strata = _strata(samples)
+    strata = pixel_strata(samples)
     base = jax.random.key(0) if key is None else key
     extent = lax.stop_gradient(scene.extent())  # a camera follows the outline of a jet but does not belong to it
     cameras = jax.vmap(lambda a: fitted_camera(a[0], a[1], extent, shape, distance))(aspect)

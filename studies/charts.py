@@ -15,7 +15,11 @@ def radiance_panels(path: Path, images: dict[str, Image]) -> None:
     """One row per image, one column per band, each band on one scale, colour bar in W m-2 sr-1."""
     bands = next(iter(images.values())).bands
     figure, axes = plt.subplots(
-        len(images), len(bands), figsize=(4.2 * len(bands), 3.4 * len(images)), squeeze=False, layout="constrained"
+        len(images),
+        len(bands),
+        figsize=(4.4 * len(bands), 1.9 * len(images) + 0.6),
+        squeeze=False,
+        layout="constrained",
     )
     for column, band in enumerate(bands):
         top = max(float(np.asarray(image.radiance)[:, :, column].max()) for image in images.values())
@@ -32,8 +36,10 @@ def radiance_panels(path: Path, images: dict[str, Image]) -> None:
                 extent=(-x, x, -y, y),
             )
             axis.set_title(f"{band}, {name}")
-            axis.set_xlabel("m")
-        figure.colorbar(shown, ax=axes[:, column], label="radiance [W m$^{-2}$ sr$^{-1}$]", shrink=0.8)
+            axis.set_ylabel("m" if column == 0 else "")
+        figure.colorbar(
+            shown, ax=axes[:, column], location="bottom", label="radiance [W m$^{-2}$ sr$^{-1}$]", shrink=0.9, aspect=40
+        )
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

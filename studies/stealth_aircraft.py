@@ -45,8 +45,8 @@ def arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--unit", choices=list(METRES), help="length unit of --mesh (required with it)")
     parser.add_argument("--temperature", type=float, default=255.0, help="skin temperature of --mesh [K] (%(default)s)")
     parser.add_argument("--emissivity", type=float, default=0.8, help="of the skin (%(default)s)")
-    parser.add_argument("--pixels", type=int, default=500, help="rows and columns of the images (%(default)s)")
-    parser.add_argument("--samples", type=int, default=2, help="rays per pixel, even (%(default)s)")
+    parser.add_argument("--pixels", type=int, default=500, help="columns of the images, twice the rows (%(default)s)")
+    parser.add_argument("--samples", type=int, default=8, help="rays per pixel, even (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("studies/out/stealth_aircraft"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)
     if (chosen.mesh is None) != (chosen.unit is None):
@@ -66,10 +66,10 @@ def main(argv: list[str]) -> None:
         temperature = np.full(mesh.count, chosen.temperature)
     scene = build_scene(mesh, temperature, chosen.emissivity, gray_plume())
 
-    size = (chosen.pixels, chosen.pixels)
+    size = (chosen.pixels // 2, chosen.pixels)
     pixel = 48.0 / chosen.pixels / 5000.0  # 48 m across: aircraft and plume
     images = {}
-    for name, azimuth, elevation in (("side", 90.0, 0.0), ("above", 90.0, 60.0), ("rear quarter", 150.0, 20.0)):
+    for name, azimuth, elevation in (("side", 90.0, 0.0), ("above", 90.0, 60.0), ("rear quarter", 140.0, 20.0)):
         camera = jaxir.perspective_camera(azimuth, elevation, 5000.0, pixel, size, target=(-15.0, 0.0, 0.0))
         images[name] = jaxir.render(scene, camera, BANDS, samples=chosen.samples)
         stem = chosen.out / name.replace(" ", "_")

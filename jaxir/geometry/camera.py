@@ -7,12 +7,14 @@ rays traced together share their work.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, as_float, enforce, finite, positive, require_shape
 from jaxir.geometry.ray import Bundle
@@ -52,14 +54,24 @@ class Camera(eqx.Module):
         Returns:
             Screen points [tile, pixel, 2] [m]; pixels beyond the image's edge continue its raster.
         """
-        columns = jnp.int32(self.tiles[1])
-        inside = jnp.arange(TILE * TILE, dtype=jnp.int32)
-        row = (tile // columns)[:, None] * TILE + (inside // TILE)[None, :]
-        column = (tile % columns)[:, None] * TILE + (inside % TILE)[None, :]
+        row, column = self._raster(tile)
         dtype = offset.dtype
         x = column.astype(dtype) + offset[..., 0] - self.shape[1] / 2
         y = self.shape[0] / 2 - (row.astype(dtype) + offset[..., 1])
         return jnp.stack([x * self.pixel[0], y * self.pixel[1]], axis=-1)
+
+    def _raster(self, tile: Int[Array, " tile"]) -> tuple[Int[Array, "tile pixel"], Int[Array, "tile pixel"]]:
+        """Row and column of every pixel of tiles, beyond the image's edge too."""
+        columns = jnp.int32(self.tiles[1])
+        inside = jnp.arange(TILE * TILE, dtype=jnp.int32)
+        row = (tile // columns)[:, None] * TILE + (inside // TILE)[None, :]
+        column = (tile % columns)[:, None] * TILE + (inside % TILE)[None, :]
+        return row, column
+
+    def pixel_index(self, tile: Int[Array, " tile"]) -> Int[Array, "tile pixel"]:
+        """row * columns + column of every pixel of tiles, -1 beyond the image's edge."""
+        row, column = self._raster(tile)
+        return jnp.where((row < self.shape[0]) & (column < self.shape[1]), row * self.shape[1] + column, -1)
 
     def bundle(self, screen: Float[Array, "ray 2"], start: Float[Array, ""]) -> Bundle:
         """The rays through screen points, starting on the plane `start` [m] in front of the target."""
@@ -212,3 +224,29 @@ def fitted_camera(
     half = jnp.maximum(half, 1e-6 * jnp.max(half))  # a plate seen edge-on still has an image
     pixel = half * 2.002 / as_float(np.array([columns, rows]))
     return Camera(target, frame, inverse, pixel, (rows, columns))
+
+
+def pixel_strata(samples: int) -> tuple[int, int]:
+    """Columns and rows of strata in a pixel: samples / 2 of them, as square as its divisors allow."""
+    if samples < 2 or samples % 2:
+        raise ValueError(f"samples: got {samples}, expected an even number >= 2 (two points in each stratum)")
+    half = samples // 2
+    rows = max(d for d in range(1, math.isqrt(half) + 1) if half % d == 0)
+    return half // rows, rows
+
+
+def stratum_points(
+    key: Key[Array, ""], index: Int[Array, ""], tiles: int, strata: tuple[int, int]
+) -> Float[Array, "2 tile pixel 2"]:
+    """The two random points of one stratum, for all pixels of some tiles, as places in [0, 1) inside the pixels."""
+    cells = as_float(np.array(strata))
+    corner = jnp.stack([index % strata[0], index // strata[0]]).astype(cells.dtype)
+    jitter = jax.random.uniform(jax.random.fold_in(key, index), (2, tiles, TILE * TILE, 2), cells.dtype)
+    return (corner[None, None, None, :] + jitter) / cells[None, None, None, :]
+
+
+def pixel_samples(key: Key[Array, ""], tiles: int, samples: int) -> Float[Array, "stratum 2 tile pixel 2"]:
+    """Places inside pixels in [0, 1): two independent points in each of samples / 2 strata."""
+    strata = pixel_strata(samples)
+    index = jnp.arange(strata[0] * strata[1], dtype=jnp.int32)
+    return jax.vmap(lambda i: stratum_points(key, i, tiles, strata))(index)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -9,34 +10,48 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir._arrays import Check, as_float, finite
+from jaxir._arrays import Check, as_float, enforce, finite
+from jaxir.geometry.bundle_search import View, project, search_bundle
 from jaxir.geometry.ray import Bundle, Rays
-from jaxir.geometry.triangle import Hit, ray_frame, ray_triangle, reattach
+from jaxir.geometry.single_search import Query, search_single
+from jaxir.geometry.topology import is_closed
+from jaxir.geometry.tree import Tree, build, single_leaf
+from jaxir.geometry.triangle import Hit, reattach
 
-_RAY_CHUNK = 256
-_FACE_CHUNK = 256
+HANDFUL = 32  # faces up to which a mesh has no tree and every ray tests every face
+_LARGEST = 1e9  # [m]; products of three coordinates must not overflow in float32
+_OFFSET = 32.0  # units of the last place of the mesh's size by which a ray leaves a face of an open mesh
 
 
 class Mesh(eqx.Module):
-    """Triangles with outward orientation by the right-hand rule.
+    """Triangles with outward orientation by the right-hand rule, and the tree in which rays search them.
+
+    The constructor runs on the host, because it builds the tree and looks whether the faces bound a solid; use
+    `refit` to move the vertices of an existing mesh, under jit or not. Replacing `vertices` alone would leave the
+    tree behind.
 
     Attributes:
         vertices: [vertex, 3] [m].
         faces: vertex indices [face, 3], int32.
+        tree: None for a handful of faces.
+        closed: whether the faces bound a solid and look outwards, see `topology.is_closed`.
     """
 
     vertices: Float[Array, "vertex 3"]
     faces: Int[Array, "face 3"]
+    tree: Tree | None
+    closed: bool = eqx.field(static=True)
 
     def __init__(self, vertices: Any, faces: Any):
         self.vertices = as_float(vertices, "Mesh.vertices")
         index = np.asarray(faces)
         if index.ndim != 2 or index.shape[-1] != 3 or not np.issubdtype(index.dtype, np.integer):
             raise ValueError(f"Mesh.faces: got {index.dtype} of shape {index.shape}, expected integers (face, 3)")
-        if index.shape[0] == 0:
-            raise ValueError("Mesh.faces: got 0 faces, expected at least 1")
+        if not 0 < index.shape[0] <= 2**27:
+            raise ValueError(f"Mesh.faces: got {index.shape[0]} faces, expected 1 to {2**27}")
         if self.vertices.ndim != 2 or self.vertices.shape[1] != 3:
             raise ValueError(f"Mesh.vertices: got shape {self.vertices.shape}, expected (vertex, 3)")
         if index.min() < 0 or index.max() >= self.vertices.shape[0]:
@@ -44,6 +59,18 @@ class Mesh(eqx.Module):
                 f"Mesh.faces: got indices {index.min()} to {index.max()}, expected 0 to {self.vertices.shape[0] - 1}"
             )
         self.faces = jnp.asarray(index, jnp.int32)
+        if isinstance(self.vertices, jax.core.Tracer):
+            if len(index) > HANDFUL:
+                raise ValueError(
+                    f"Mesh.vertices: got a traced array, expected known values for a mesh of {len(index)} faces; "
+                    "build the mesh outside jit and move it with Mesh.refit"
+                )
+            self.tree, self.closed = None, False
+        else:
+            enforce(self.vertices, self.checks())
+            points = np.asarray(self.vertices)
+            self.tree = build(points, index) if len(index) > HANDFUL else None
+            self.closed = is_closed(points, index)
 
     @property
     def count(self) -> int:
@@ -59,9 +86,31 @@ class Mesh(eqx.Module):
         p = self.corners()
         return jnp.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]) / 2
 
+    def refit(self, vertices: Any) -> Mesh:
+        """The same faces about moved vertices [vertex, 3] [m]; runs under jit.
+
+        The search stays exact; it slows down when faces that were neighbours move far apart. A closed mesh must stay
+        closed: vertices that coincided still do, and it is not turned inside out.
+
+        Raises:
+            ValueError: the number of vertices changes.
+
+        Differentiable in vertices.
+        """
+        moved = as_float(vertices, "Mesh.vertices")
+        if moved.shape != self.vertices.shape:
+            raise ValueError(f"Mesh.vertices: got shape {moved.shape}, expected {self.vertices.shape}")
+        tree = None if self.tree is None else self.tree.refit(lax.stop_gradient(moved), self.faces)
+        return eqx.tree_at(lambda m: (m.vertices, m.tree), self, (moved, tree), is_leaf=lambda x: x is None)
+
+    def search_tree(self) -> Tree:
+        """The tree, or all faces as its only leaf."""
+        return lax.stop_gradient(single_leaf(self.vertices, self.faces) if self.tree is None else self.tree)
+
     def checks(self) -> list[Check]:
-        """Vertices are finite."""
-        return [finite("Mesh.vertices", self.vertices)]
+        """Vertices are finite and not astronomical."""
+        size = Check("Mesh.vertices", self.vertices, jnp.abs(self.vertices) < _LARGEST, f"values below {_LARGEST:g} m")
+        return [finite("Mesh.vertices", self.vertices), size]
 
 
 def closest_hit(
@@ -69,25 +118,30 @@ def closest_hit(
     rays: Rays | Bundle,
     t_min: Float[Array, " ray"] | float = 0.0,
     t_max: Float[Array, " ray"] | float = jnp.inf,
+    leaving: Int[Array, " ray"] | None = None,
 ) -> Hit:
     """The first face that each ray meets with t_min < t < t_max.
 
+    Both sides of a face are met; a face without area never is. Rays that pass through a shared edge or vertex of a
+    closed mesh always meet one of its faces. Of faces at the same t any one may be reported.
+
     Args:
-        mesh: the triangles; both sides of a face are met.
-        rays: unrelated rays, or a bundle.
+        mesh: the triangles.
+        rays: unrelated rays, or a bundle, which is faster. A bundle keeps its speed when it starts beyond the whole
+            mesh and t_min is 0.
         t_min: per ray or one for all [m].
-        t_max: per ray or one for all [m].
+        t_max: per ray or one for all [m]; a ray with t_max <= t_min is inactive: it meets nothing and costs nothing.
+        leaving: the face on which each ray starts, -1 for none [ray]. That face is not met again, nor are its
+            neighbours where the ray starts: the ray starts a rounding distance (4e-6 of the mesh's size in float32)
+            off the face, on the side to which it goes; and on a closed mesh, which it must next enter (or leave, when
+            it goes inwards), it meets only faces that look against it (along it), on an open mesh any but that face.
 
     Returns:
-        The hits. Ties go to the lowest face index.
+        The hits.
 
     Differentiable in vertices and rays through t, barycentrics, point, normal; visibility has no derivative.
     """
-    single = rays.rays() if isinstance(rays, Bundle) else rays
-    face = lax.stop_gradient(_search(mesh, single, t_min, t_max))
-    corners = mesh.vertices[mesh.faces[jnp.maximum(face, 0)]]
-    t, barycentric, point, normal = jax.vmap(reattach)(face, corners, single.origin, single.direction)
-    return Hit(face, t, barycentric, point, normal)
+    return _hit(mesh, rays, _face(mesh, rays, t_min, t_max, leaving, any_hit=False))
 
 
 def any_hit(
@@ -95,64 +149,100 @@ def any_hit(
     rays: Rays | Bundle,
     t_min: Float[Array, " ray"] | float = 0.0,
     t_max: Float[Array, " ray"] | float = jnp.inf,
+    leaving: Int[Array, " ray"] | None = None,
 ) -> Bool[Array, " ray"]:
     """Whether each ray meets any face with t_min < t < t_max; arguments as in `closest_hit`. Not differentiable."""
+    return _face(mesh, rays, t_min, t_max, leaving, any_hit=True) >= 0
+
+
+# Inner functions are compiled as units: without jit around it, every call would trace its loops anew.
+
+
+@jax.jit
+def _hit(mesh: Mesh, rays: Rays | Bundle, face: Array) -> Hit:
     single = rays.rays() if isinstance(rays, Bundle) else rays
-    return lax.stop_gradient(_search(mesh, single, t_min, t_max)) >= 0
+    corners = mesh.vertices[mesh.faces[jnp.maximum(face, 0)]]
+    return Hit(*jax.vmap(reattach)(face, corners, single.origin, single.direction))
 
 
-def occluded(
-    mesh: Mesh,
-    point: Float[Array, "ray 3"],
-    face: Int[Array, " ray"],
-    toward: Float[Array, " 3"],
-    active: Bool[Array, " ray"],
-) -> Bool[Array, " ray"]:
-    """Whether points of the mesh are hidden from a direction by any other face.
-
-    Args:
-        mesh: the triangles.
-        point: points on the mesh [ray, 3] [m].
-        face: the face on which each point lies [ray].
-        toward: direction in which to look [3], unit.
-        active: points to be tested; others return False.
-
-    Returns:
-        [ray]. Not differentiable.
-    """
-    size = jnp.max(jnp.abs(mesh.vertices))
-    rays = Rays(point, jnp.broadcast_to(toward, point.shape))
-    near = jnp.full_like(point[:, 0], 1) * size * 1e-5
-    return any_hit(mesh, rays, near, jnp.where(active, jnp.inf, -jnp.inf)) & active
+def _face(mesh: Mesh, rays: Rays | Bundle, t_min: Any, t_max: Any, leaving: Array | None, any_hit: bool) -> Array:
+    """The face that each ray meets, -1 for none; nothing in here is differentiated."""
+    dtype = mesh.vertices.dtype
+    near, far = (jnp.broadcast_to(jnp.asarray(t, dtype), (rays.count,)) for t in (t_min, t_max))
+    from_zero = isinstance(t_min, (int, float)) and t_min == 0
+    whole = isinstance(rays, Rays) or mesh.tree is None or not from_zero or leaving is not None
+    search = _search_single if whole else _search_bundle
+    return search(*lax.stop_gradient((mesh, rays, near, far)), leaving, any_hit=any_hit)
 
 
-def _search(mesh: Mesh, rays: Rays, t_min: Any, t_max: Any) -> Int[Array, " ray"]:
-    """Brute force in chunks of rays and faces: exact, memory bounded, for a handful of triangles."""
-    corners = mesh.corners()
-    size = min(_FACE_CHUNK, mesh.count)
-    blocks = -(-mesh.count // size)
-    pad = blocks * size - mesh.count
-    tables = jnp.pad(corners, ((0, pad), (0, 0), (0, 0))).reshape(blocks, size, 3, 3)
-    low = jnp.broadcast_to(jnp.asarray(t_min, rays.origin.dtype), (rays.count,))
-    high = jnp.broadcast_to(jnp.asarray(t_max, rays.origin.dtype), (rays.count,))
+@partial(jax.jit, static_argnames="any_hit")
+def _search_single(mesh: Mesh, rays: Any, near: Array, far: Array, leaving: Array | None, any_hit: bool) -> Array:
+    tree = mesh.search_tree()
+    return search_single(tree, _query(mesh, tree, rays, near, far, leaving), any_hit)
 
-    def one(item: tuple[Array, Array, Array, Array]) -> Array:
-        origin, direction, near, far = item
-        frame = ray_frame(direction)
 
-        def block(carry: tuple[Array, Array], table: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
-            best, face = carry
-            inside, t = jax.vmap(lambda c: ray_triangle(frame, c - origin[None, :]))(table[0])
-            t = jnp.where(inside & (t > near), t, jnp.inf)
-            k = jnp.argmin(t)
-            closer = t[k] < best
-            return (
-                jnp.where(closer, t[k], best),
-                jnp.where(closer, table[1] + k.astype(jnp.int32), face),
-            ), None
+@partial(jax.jit, static_argnames="any_hit")
+def _search_bundle(mesh: Mesh, bundle: Bundle, near: Array, far: Array, leaving: None, any_hit: bool) -> Array:
+    # seen from beyond a closed mesh, the first face met looks at the eye
+    side = 1 if mesh.closed else 0
 
-        starts = jnp.arange(blocks, dtype=jnp.int32) * size
-        (_, face), _ = lax.scan(block, (far, jnp.full((), -1, jnp.int32)), (tables, starts))
-        return face
+    @sequential_vmap
+    def search(mesh: Mesh, bundle: Bundle, near: Array, far: Array) -> Array:
+        return lax.cond(
+            _before(mesh.search_tree(), bundle),
+            lambda: search_bundle(mesh.search_tree(), bundle_view(bundle, far), side, any_hit),
+            lambda: _search_single(mesh, bundle, near, far, leaving, any_hit=any_hit),
+        )
 
-    return lax.map(one, (rays.origin, rays.direction, low, high), batch_size=_RAY_CHUNK)
+    return search(mesh, bundle, near, far)
+
+
+def _query(mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array, leaving: Array | None) -> Query:
+    single = rays.rays() if isinstance(rays, Bundle) else rays
+    origin, direction = single.origin, single.direction
+    side, skip = jnp.zeros_like(near), jnp.full(near.shape, -1, jnp.int32)
+    if leaving is not None:
+        started = leaving >= 0
+        normal = face_normal(mesh, jnp.maximum(leaving, 0))
+        along = jnp.sign(jnp.sum(normal * direction, axis=-1))
+        origin = jnp.where(started[:, None], off_face(tree, origin, normal, along), origin)
+        if mesh.closed:
+            side = jnp.where(started, -along, 0)
+        else:
+            skip = jnp.where(started, tree.slot[jnp.maximum(leaving, 0)], -1)
+    return Query(origin, direction, near, far, skip, side)
+
+
+def face_normal(mesh: Mesh, face: Int[Array, " ray"]) -> Float[Array, "ray 3"]:
+    """Unit normals of faces [ray, 3]; 0 for a face without area."""
+    p = mesh.vertices[mesh.faces[face]]
+    normal = jnp.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    length = jnp.sqrt(jnp.sum(normal * normal, axis=-1, keepdims=True))
+    return normal / jnp.where(length > 0, length, 1)
+
+
+def off_face(tree: Tree, point: Array, normal: Array, side: Float[Array, " ray"]) -> Float[Array, "ray 3"]:
+    """Points moved off their faces by the rounding of the mesh's coordinates, to the side where `side` is 1 or -1."""
+    size = jnp.sqrt(jnp.sum(tree.half * tree.half)) + jnp.max(jnp.abs(tree.centre))
+    return point + (_OFFSET * jnp.finfo(point.dtype).eps * size * side)[:, None] * normal
+
+
+def bundle_view(bundle: Bundle, far: Float[Array, " ray"]) -> View:
+    """The projective map of a bundle whose rays end at `far` [ray] [m]; those with far <= 0 are inactive."""
+    slant = 1 / jnp.sqrt(1 + bundle.inverse_range**2 * jnp.sum(bundle.screen * bundle.screen, axis=-1))
+    limit = project(far * slant - bundle.start, bundle.inverse_range)
+    return View(
+        bundle.target,
+        bundle.frame,
+        bundle.inverse_range,
+        bundle.screen,
+        jnp.where(far > 0, limit, -jnp.inf),
+        None,
+    )
+
+
+def _before(tree: Tree, bundle: Bundle) -> Bool[Array, ""]:
+    """Whether the whole tree lies beyond the plane on which the bundle starts."""
+    w = bundle.frame[2]
+    front = jnp.sum(w * (tree.centre - bundle.target)) + jnp.sum(jnp.abs(w) * tree.half)
+    return (front < bundle.start) & (front * bundle.inverse_range < 1)

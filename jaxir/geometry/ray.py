@@ -59,9 +59,13 @@ class Bundle(eqx.Module):
 
     def rays(self) -> Rays:
         """The same rays one by one, target-centred so that float32 serves any range."""
-        lateral = self.screen @ self.frame[:2]
-        tilt = self.inverse_range * lateral - self.frame[2][None, :]
-        direction = tilt * lax.rsqrt(jnp.sum(tilt * tilt, axis=-1, keepdims=True))
+        # one component at a time: XLA's CPU loops over a last axis of length 3 are slow
+        x, y = self.screen[:, 0], self.screen[:, 1]
+        slant = lax.rsqrt(1 + self.inverse_range * self.inverse_range * (x * x + y * y))
         shrink = 1 - self.start * self.inverse_range
-        origin = self.target[None, :] + (lateral * shrink + self.start * self.frame[2][None, :])
-        return Rays(origin, direction)
+        origin, direction = [], []
+        for k in range(3):
+            lateral = x * self.frame[0, k] + y * self.frame[1, k]
+            direction.append((self.inverse_range * lateral - self.frame[2, k]) * slant)
+            origin.append(self.target[k] + (lateral * shrink + self.start * self.frame[2, k]))
+        return Rays(jnp.stack(origin, axis=-1), jnp.stack(direction, axis=-1))

@@ -17,6 +17,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from jaxir._arrays import as_float, float_dtype
 
@@ -24,25 +25,70 @@ SECOND_RADIATION = 1.4387768775039337  # c2 = h c / k [cm K], exact since 2019 (
 
 
 class Band(eqx.Module):
-    """A wavelength interval with a name.
+    """A wavelength interval with a name and, if it is a sensor's, a spectral response.
 
     Attributes:
         name: how results are labelled.
         lower: shorter wavelength [um].
         upper: longer wavelength [um].
+        response: relative spectral response as (wavelength [um], response) pairs, linear between them; None is 1
+            from edge to edge. See `sensor_band`.
     """
 
     name: str = eqx.field(static=True)
     lower: float = eqx.field(static=True)
     upper: float = eqx.field(static=True)
+    response: tuple[tuple[float, float], ...] | None = eqx.field(static=True)
 
-    def __init__(self, name: str, lower: float, upper: float):
+    def __init__(self, name: str, lower: float, upper: float, response: tuple[tuple[float, float], ...] | None = None):
         """Check and keep the edges; they are structure, so a new band compiles anew."""
         self.name, self.lower, self.upper = str(name), float(lower), float(upper)
+        self.response = response
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and 0 < self.lower < self.upper):
             raise ValueError(
                 f"Band {self.name!r}: got edges {self.lower}, {self.upper} um, expected 0 < lower < upper, finite"
             )
+        if self.response is not None:
+            wavelength = [pair[0] for pair in self.response]
+            if wavelength != sorted(set(wavelength)) or (wavelength[0], wavelength[-1]) != (self.lower, self.upper):
+                raise ValueError(
+                    f"Band {self.name!r}.response: got wavelengths {wavelength[:3]} ... {wavelength[-1:]}, expected "
+                    f"increasing ones from {self.lower} to {self.upper} um; `sensor_band` takes the edges from them"
+                )
+            if not all(math.isfinite(value) and value >= 0 for _, value in self.response):
+                raise ValueError(f"Band {self.name!r}.response: expected finite values >= 0")
+
+    def mean_response(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Mean response over wavenumber bins [bin] (edges in cm-1, inside the band), in double precision."""
+        if self.response is None:
+            return np.ones_like(lower)
+        wavelength, response = np.array(self.response).T
+        inside = lower[:, None] + (upper - lower)[:, None] * (np.arange(256) + 0.5) / 256
+        return np.interp(1e4 / inside, wavelength, response).mean(axis=1)
+
+
+def sensor_band(name: str, wavelength: ArrayLike, response: ArrayLike) -> Band:
+    """A band with a tabulated relative spectral response.
+
+    Args:
+        name: how results are labelled.
+        wavelength: increasing wavelengths [sample] [um]; the first and the last are the band's edges.
+        response: response at them [sample], >= 0, linear between; results are weighted with it as it is, so a peak
+            of 1 gives the radiance that a perfect sensor of that peak would report.
+
+    Returns:
+        The band.
+
+    Raises:
+        ValueError: fewer than two samples, unequal lengths, wavelengths not increasing, negative response.
+    """
+    where, value = np.asarray(wavelength, np.float64), np.asarray(response, np.float64)
+    if where.ndim != 1 or where.shape != value.shape or where.size < 2:
+        raise ValueError(
+            f"sensor_band {name!r}: got wavelength {where.shape} and response {value.shape}, "
+            "expected two equal lengths >= 2"
+        )
+    return Band(name, float(where[0]), float(where[-1]), tuple(zip(where.tolist(), value.tolist(), strict=True)))
 
 
 SWIR = Band("SWIR", 1.0, 3.0)
@@ -113,7 +159,7 @@ def gray_nodes(bands: Sequence[Band]) -> Nodes:
         bands: at least one band; they may overlap.
 
     Returns:
-        Nodes with one node per band, weight 1, response 1 in its own band.
+        Nodes with one node per band, weight 1; a band's response acts by its mean.
 
     Raises:
         ValueError: no band, or something that is not a `Band`.
@@ -122,12 +168,14 @@ def gray_nodes(bands: Sequence[Band]) -> Nodes:
     if not bands or not all(isinstance(band, Band) for band in bands):
         raise ValueError(f"bands: got {bands!r}, expected at least one Band, e.g. (jaxir.MWIR, jaxir.LWIR)")
     count = len(bands)
+    lower = np.array([1e4 / band.upper for band in bands])
+    upper = np.array([1e4 / band.lower for band in bands])
     return build_nodes(
-        lower=np.array([1e4 / band.upper for band in bands]),
-        upper=np.array([1e4 / band.lower for band in bands]),
+        lower=lower,
+        upper=upper,
         g=np.full((count, 2), 0.5),
         weight=np.ones(count),
-        response=np.eye(count),
+        response=np.diag([band.mean_response(lower[[i]], upper[[i]])[0] for i, band in enumerate(bands)]),
         names=[band.name for band in bands],
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check
@@ -45,6 +46,11 @@ class Scene(eqx.Module):
         if self.plume is not None:
             points.append(self.plume.extent())
         return jnp.concatenate(points)
+
+    def radius(self, centre: Float[Array, " 3"]) -> Float[Array, ""]:
+        """Radius about `centre` of a sphere that holds skin and plume, plus .1 % [m]; without derivative."""
+        offset = self.extent() - centre[None, :]
+        return lax.stop_gradient(jnp.sqrt(jnp.max(jnp.sum(offset * offset, axis=-1))) * 1.001)
 
     def checks(self) -> list[Check]:
         """The checks of every part present."""

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxir.geometry.mesh import closest_hit, occluded
+from jaxir.geometry.mesh import closest_hit
 from jaxir.geometry.ray import Bundle, Rays
+from jaxir.geometry.shadow import occluded
 from jaxir.geometry.triangle import Hit
 from jaxir.geometry.walk import Crossings, crossings
 from jaxir.scene.plume import GridPlume

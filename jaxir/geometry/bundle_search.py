@@ -1,0 +1,254 @@
+"""Search of a tree by the rays of one projective map, a tile of neighbours at a time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import sequential_vmap
+from jaxtyping import Array, Float, Int
+
+from jaxir.geometry.loops import bits, item, largest, lowest_bit, octant, row, varying
+from jaxir.geometry.tree import FAR, WIDTH, Tree
+
+TILE = 256  # rays tested together
+_SLACK = 4.0  # units of the last place of an edge function within which a ray counts as inside
+_NONE = 3e38
+
+
+class View(NamedTuple):
+    """A projective map and its rays.
+
+    A point with frame coordinates (X, Y, Z) about `target` is seen at (X s, Y s) with depth -Z s, where
+    s = 1 / (1 - Z inverse_range): planes stay planes, and depth grows along every ray.
+
+    Attributes:
+        target: [3] [m].
+        frame: rows u, v, w [3, 3]; w points to the eye.
+        inverse_range: [m-1]; None for parallel rays, whose projection then compiles to nothing.
+        screen: [ray, 2] [m].
+        limit: projected depth before which hits lie [ray] [m]; -inf for an inactive ray.
+        skip: place of a face in the tree that is not met, -1 for none [ray]; None when no ray skips any.
+    """
+
+    target: Float[Array, " 3"]
+    frame: Float[Array, "3 3"]
+    inverse_range: Float[Array, ""] | None
+    screen: Float[Array, "ray 2"]
+    limit: Float[Array, " ray"]
+    skip: Int[Array, " ray"] | None
+
+
+def search_bundle(tree: Tree, view: View, side: int, any_hit: bool) -> Int[Array, " ray"]:
+    """The face that each ray meets first, or with `any_hit` some face that it meets; -1 for none.
+
+    The whole tree must lie before the eye. `side` is +1 to meet only faces seen from their front, -1 only those seen
+    from their back, 0 for both. Under `jax.vmap` views are searched one after another.
+    """
+
+    @sequential_vmap
+    def search(tree: Tree, view: View) -> Array:
+        return _search(tree, view, side, any_hit)
+
+    return search(tree, view)
+
+
+def project(depth: Float[Array, "..."], inverse_range: Float[Array, ""] | None) -> Float[Array, "..."]:
+    """Projected depth of points `depth` [m] beyond the target plane, increasing; range itself at infinity."""
+    depth = jnp.clip(depth, -FAR, FAR)
+    return depth if inverse_range is None else depth / (1 + depth * inverse_range)
+
+
+def _search(tree: Tree, view: View, side: int, any_hit: bool) -> Int[Array, " ray"]:
+    count = view.screen.shape[0]
+    size = min(TILE, -(-count // 16) * 16)
+    pad = -count % size
+    limit = jnp.pad(jnp.maximum(view.limit, -_NONE), (0, pad), constant_values=-_NONE).reshape(-1, size)
+    x, y = (jnp.pad(view.screen[:, k], (0, pad), mode="edge").reshape(-1, size) for k in range(2))
+    skip = None if view.skip is None else jnp.pad(view.skip, (0, pad)).reshape(-1, size)
+    travel = jnp.concatenate([view.frame[:2], -view.frame[2:]])
+    shift = travel @ (tree.centre - view.target)
+    first = octant(travel[2])
+    boxes, children = [], []
+    for level_boxes, level_children in zip(tree.boxes, tree.children, strict=True):
+        nodes = level_children.shape[0] // 8
+        sorted_boxes = lax.dynamic_slice_in_dim(level_boxes, first * nodes, nodes)
+        boxes.append(_project_boxes(sorted_boxes, travel, shift, view.inverse_range))
+        children.append(lax.dynamic_slice_in_dim(level_children, first * nodes, nodes))
+    scene = _Scene(tuple(boxes), tuple(children), tree.leaves, travel, shift, view.inverse_range)
+
+    def one(tile: _Tile) -> Array:
+        return _search_tile(scene, tile, side, any_hit)
+
+    tiles = _Tile(x, y, limit, skip)
+    place = lax.platform_dependent(
+        tiles, cpu=lambda tiles: lax.map(one, tiles), default=lambda tiles: jax.vmap(one)(tiles)
+    ).reshape(-1)[:count]
+    return jnp.where(place >= 0, tree.face.reshape(-1)[jnp.maximum(place, 0)], -1)
+
+
+class _Scene(NamedTuple):
+    """The tree as one view sees it: boxes of each level are x0, x1, y0, y1 and nearest depth [node, 5 * 16]."""
+
+    boxes: tuple[Array, ...]
+    children: tuple[Array, ...]
+    leaves: Array
+    travel: Array
+    shift: Array
+    inverse_range: Array | None
+
+
+class _Tile(NamedTuple):
+    """Screen points, depth limits and skipped places of neighbouring rays."""
+
+    x: Array
+    y: Array
+    limit: Array
+    skip: Array | None
+
+
+def _project_boxes(table: Array, travel: Array, shift: Array, inverse_range: Array | None) -> Array:
+    """Screen rectangles and nearest depths of boxes [node, 6 * 16] of the tree [node, 5 * 16]; conservative."""
+    box = table.reshape(-1, 2, 3, WIDTH)
+    empty = box[:, 0, :1] >= FAR
+    low, high = (jnp.where(empty, 0, box[:, k]) for k in range(2))
+    eps = jnp.finfo(table.dtype).eps
+    middle = jnp.sum(travel[None, :, :, None] * ((low + high) / 2)[:, None], axis=2) + shift[None, :, None]
+    reach = jnp.sum(jnp.abs(travel)[None, :, :, None] * ((high - low) / 2)[:, None], axis=2)
+    reach = reach * (1 + 8 * eps) + 8 * eps * (jnp.abs(middle) + jnp.max(jnp.abs(shift)))
+    low, high = middle - reach, middle + reach
+    if inverse_range is not None:
+        far, near = (1 / (1 + depth[:, 2:] * inverse_range) for depth in (high, low))
+        x_y = slice(0, 2)
+        flat = jnp.minimum(low[:, x_y] * near, low[:, x_y] * far), jnp.maximum(high[:, x_y] * near, high[:, x_y] * far)
+        grow = 4 * eps * (jnp.abs(flat[0]) + jnp.abs(flat[1]))
+        depth = low[:, 2:] * near
+        low = jnp.concatenate([flat[0] - grow, depth - 4 * eps * jnp.abs(depth)], axis=1)
+        high = flat[1] + grow
+    rows = [low[:, 0], high[:, 0], low[:, 1], high[:, 1], low[:, 2]]
+    return jnp.concatenate([jnp.where(empty[:, 0], FAR, lane) for lane in rows], axis=1)
+
+
+def _search_tile(scene: _Scene, tile: _Tile, side: int, any_hit: bool) -> Array:
+    """Place in the tree for each ray of one tile, -1 for none."""
+    active = tile.limit > -_NONE
+    x0, x1 = jnp.min(jnp.where(active, tile.x, FAR)), jnp.max(jnp.where(active, tile.x, -FAR))
+    y0, y1 = jnp.min(jnp.where(active, tile.y, FAR)), jnp.max(jnp.where(active, tile.y, -FAR))
+    some = x0 <= x1
+    x0, x1, y0, y1 = (jnp.where(some, edge, 0) for edge in (x0, x1, y0, y1))
+    eps = jnp.finfo(tile.x.dtype).eps
+    xc, yc = (x0 + x1) / 2, (y0 + y1) / 2
+    # the tile's half size, grown by what subtracting its centre may round
+    xh = (x1 - x0) / 2 + 2 * eps * (jnp.abs(x0) + jnp.abs(x1))
+    yh = (y1 - y0) / 2 + 2 * eps * (jnp.abs(y0) + jnp.abs(y1))
+    x, y = tile.x - xc, tile.y - yc
+    slot = scene.leaves.shape[1] // 16
+    levels = len(scene.boxes)
+
+    def meets_boxes(level: int, node: Array, deepest: Array) -> Array:
+        b = row(scene.boxes[level], node)
+        left, right, low, high, depth = (b[k * WIDTH : (k + 1) * WIDTH] for k in range(5))
+        return bits((left <= x1) & (right >= x0) & (low <= y1) & (high >= y0) & (depth < deepest))
+
+    def visit(level: int, node: Array, go: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        if level == levels:
+            return leaf(node, go, state)
+
+        def body(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+            mask, inner = carry[0], carry[1:]
+            which = lowest_bit(mask)
+            child = item(scene.children[level], node, which)
+            # hits may have come nearer since the mask was made; a flag, not a branch, or XLA hoists the work below
+            closer = item(scene.boxes[level], node, 4 * WIDTH + which) < inner[0]
+            return (mask & (mask - 1), *visit(level + 1, child, closer, inner))
+
+        mask = jnp.where(go, meets_boxes(level, node, state[0]), 0)
+        return lax.while_loop(lambda carry: carry[0] != 0, body, (mask, *state))[1:]
+
+    def leaf(number: Array, go: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        _, depth, place = state
+        face = _set_up(scene, row(scene.leaves, number), (xc, yc), (xh, yh), side)
+        wanted = (face.wanted & go).astype(jnp.int32)
+
+        def test(k: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+            depth, place = state
+            at = [k + edge * slot for edge in range(3)]
+            e0, e1, e2 = (item(face.a, i) * x + item(face.b, i) * y + item(face.c, i) for i in at)
+            here = item(face.rise, at[0]) * e1 - item(face.rise, at[2]) * e2 + item(face.depth, k)
+            inside = jnp.minimum(jnp.minimum(e0, e1), e2) >= 0
+            index = number * slot + k
+            hit = inside & (here < depth)
+            if tile.skip is not None:
+                hit = hit & (tile.skip != index)
+            if any_hit:
+                here = jnp.full_like(depth, -_NONE)
+            return jnp.where(hit, here, depth), jnp.where(hit, index, place)
+
+        def advance(k: Array) -> Array:
+            """The next wanted face, coded as -1 - k, or `slot`."""
+            return lax.while_loop(
+                lambda k: (k >= 0) & (k < slot), lambda k: jnp.where(item(wanted, k) > 0, -1 - k, k + 1), k
+            )
+
+        def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            depth, place = test(-1 - carry[0], carry[1:])
+            return advance(-carry[0]), depth, place
+
+        first = advance(jnp.zeros_like(number))
+        _, depth, place = lax.while_loop(lambda carry: carry[0] < 0, step, (first, depth, place))
+        return largest(depth), depth, place
+
+    state = (largest(tile.limit), tile.limit, jnp.full(x.shape, -1, jnp.int32))
+    return visit(0, jnp.zeros((), jnp.int32), some, varying(state, x))[2]
+
+
+class _Faces(NamedTuple):
+    """Edge functions a x + b y + c >= 0 inside [3 * slot], and depth = rise0 e1 - rise2 e2 + depth."""
+
+    a: Array
+    b: Array
+    c: Array
+    rise: Array
+    depth: Array
+    wanted: Array
+
+
+def _set_up(scene: _Scene, leaf: Array, centre: tuple[Array, Array], half: tuple[Array, Array], side: int) -> _Faces:
+    """Edge functions of the faces of one leaf about the centre of a tile, in flat rows long enough for SIMD.
+
+    c is formed from the sum of an edge's ends, so that neighbours, who run through it in opposite directions, get
+    the exactly negated function; the slack added to it, of the size of its rounding, closes shared vertices.
+    """
+    slot = leaf.shape[0] // 16
+    p = [leaf[5 * k * slot : 5 * (k + 1) * slot] for k in range(3)]
+    turn = scene.travel
+    x, y, z = (turn[k, 0] * p[0] + turn[k, 1] * p[1] + turn[k, 2] * p[2] + scene.shift[k] for k in range(3))
+    if scene.inverse_range is not None:
+        scale = 1 / (1 + z * scene.inverse_range)
+        x, y, z = x * scale, y * scale, z * scale
+    x, y = x - centre[0], y - centre[1]
+    opposite, start, stop = slice(0, 3 * slot), slice(slot, 4 * slot), slice(2 * slot, 5 * slot)
+    a, b = y[start] - y[stop], x[stop] - x[start]
+    sx, sy = (x[start] + x[stop]) / 2, (y[start] + y[stop]) / 2
+    c = -(a * sx + b * sy)
+    area = a * x[opposite] + b * y[opposite] + c
+    slack = (
+        _SLACK * jnp.finfo(x.dtype).eps * (jnp.abs(a) * (half[0] + jnp.abs(sx)) + jnp.abs(b) * (half[1] + jnp.abs(sy)))
+    )
+    size = area if side > 0 else -area if side < 0 else jnp.abs(area)
+    overlap = (
+        (jnp.minimum(jnp.minimum(x[opposite], x[start]), x[stop]) <= half[0])
+        & (jnp.maximum(jnp.maximum(x[opposite], x[start]), x[stop]) >= -half[0])
+        & (jnp.minimum(jnp.minimum(y[opposite], y[start]), y[stop]) <= half[1])
+        & (jnp.maximum(jnp.maximum(y[opposite], y[start]), y[stop]) >= -half[1])
+        # a face seen edge-on, thinner than the rounding: the slack of its neighbours covers it
+        & (size > slack)
+    )
+    wanted = overlap[:slot] & overlap[slot : 2 * slot] & overlap[2 * slot :]
+    sign = jnp.where(area < 0, -1, 1).astype(x.dtype)
+    inverse = 1 / jnp.where(area != 0, area, 1)
+    rise = (z[start] - z[opposite]) * jnp.abs(inverse)
+    depth = z[:slot] - (rise[:slot] * slack[slot : 2 * slot] - rise[2 * slot :] * slack[2 * slot :])
+    return _Faces(a * sign, b * sign, c * sign + slack, rise, depth, wanted)

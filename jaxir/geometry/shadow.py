@@ -1,0 +1,122 @@
+"""Whether points of a mesh lie in its own shadow."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import sequential_vmap
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxir.geometry.bundle_search import View, project, search_bundle
+from jaxir.geometry.mesh import Mesh, any_hit, face_normal, off_face
+from jaxir.geometry.ray import Rays
+
+
+def occluded(
+    mesh: Mesh,
+    point: Float[Array, "ray 3"],
+    face: Int[Array, " ray"],
+    toward: Float[Array, " 3"],
+    active: Bool[Array, " ray"],
+) -> Bool[Array, " ray"]:
+    """Whether points on the mesh are hidden from a parallel source.
+
+    On a closed mesh a point is hidden when its face looks away, or when a face that looks away lies before it: a ray
+    from the lamp that reaches the back of a face has passed through the body. So the point's own face and its lit
+    neighbours cannot shade it. On an open mesh both sides of a face are skin, and the point's own face is skipped.
+    In both cases the point is first moved off its face by rounding, as for `leaving` in `closest_hit`.
+
+    Args:
+        mesh: the triangles.
+        point: on the mesh [ray, 3] [m]; neighbours in this list should be neighbours in space.
+        face: the face on which each point lies, -1 for a point in free space [ray].
+        toward: unit vector to the source [3].
+        active: False leaves a point out, at no cost [ray].
+
+    Returns:
+        True where an active point is hidden; False where it is lit or inactive [ray].
+
+    Not differentiable: shadow edges have no derivative.
+    """
+    mesh, point, toward = lax.stop_gradient((mesh, point, toward))
+    return _occluded(mesh, point, face, toward, jnp.broadcast_to(toward, point.shape), active, None)
+
+
+def occluded_from(
+    mesh: Mesh,
+    point: Float[Array, "ray 3"],
+    face: Int[Array, " ray"],
+    position: Float[Array, " 3"],
+    active: Bool[Array, " ray"],
+) -> Bool[Array, " ray"]:
+    """Whether points on the mesh are hidden from a point source at `position` [3] [m]; otherwise as `occluded`.
+
+    Fast when the source lies outside the mesh's box as seen along the line from its centre to the source.
+    """
+    mesh, point, position = lax.stop_gradient((mesh, point, position))
+    return _occluded_from(mesh, point, face, position, active)
+
+
+@jax.jit
+@sequential_vmap
+def _occluded_from(mesh: Mesh, point: Array, face: Array, position: Array, active: Array) -> Array:
+    tree = mesh.search_tree()
+    ray = position[None, :] - point
+    distance = jnp.sqrt(jnp.sum(ray * ray, axis=-1))
+    direction = ray / jnp.where(distance > 0, distance, 1)[:, None]
+    offset = position - tree.centre
+    distance_of_eye = jnp.sqrt(jnp.sum(offset * offset))
+    toward = offset / jnp.where(distance_of_eye > 0, distance_of_eye, 1)
+
+    def alone() -> Array:
+        far = jnp.where(active, distance, 0)
+        return any_hit(mesh, Rays(point, direction), t_max=far, leaving=face)
+
+    if not tree.children:
+        return alone()
+    outside = jnp.sum(jnp.abs(toward) * tree.half) < 0.99 * distance_of_eye
+    inverse_range = 1 / jnp.where(outside, distance_of_eye, 1)
+    return lax.cond(outside, lambda: _occluded(mesh, point, face, toward, direction, active, inverse_range), alone)
+
+
+@jax.jit
+def _occluded(
+    mesh: Mesh,
+    point: Array,
+    face: Array,
+    toward: Array,
+    direction: Array,
+    active: Array,
+    inverse_range: Array | None,
+) -> Array:
+    """The shadow of one bundle of rays that run together in the direction `toward` of its axis."""
+    tree = mesh.search_tree()
+    if not tree.children:
+        far = jnp.where(active, jnp.inf, 0).astype(point.dtype)
+        return any_hit(mesh, Rays(point, direction), t_max=far, leaving=face)
+    started = face >= 0
+    normal = face_normal(mesh, jnp.maximum(face, 0))
+    lit = jnp.sum(normal * direction, axis=-1)
+    away = jnp.zeros_like(active)
+    skip = None
+    if mesh.closed:
+        away = started & (lit <= 0)
+    else:
+        skip = jnp.where(started, tree.slot[jnp.maximum(face, 0)], -1)
+    point = jnp.where(started[:, None], off_face(tree, point, normal, jnp.sign(lit)), point)
+    frame = orthonormal(toward)
+    x, y, z = (jnp.sum((point - tree.centre[None, :]) * axis[None, :], axis=-1) for axis in frame)
+    scale = jnp.ones_like(z) if inverse_range is None else 1 / (1 - z * inverse_range)
+    limit = jnp.where(active & ~away, project(-z, inverse_range), -jnp.inf)
+    view = View(tree.centre, frame, inverse_range, jnp.stack([x * scale, y * scale], axis=-1), limit, skip)
+    side = -1 if mesh.closed else 0
+    return active & (away | (search_bundle(tree, view, side, any_hit=True) >= 0))
+
+
+def orthonormal(w: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+    """Rows u, v, w of a right-handed frame about the unit vector w [3]."""
+    helper = jnp.where(jnp.abs(w[2]) < 0.9, jnp.asarray([0, 0, 1], w.dtype), jnp.asarray([0, 1, 0], w.dtype))
+    u = jnp.cross(helper, w)
+    u = u / jnp.sqrt(jnp.sum(u * u))
+    return jnp.stack([u, jnp.cross(w, u), w])

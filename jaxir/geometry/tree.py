@@ -1,0 +1,199 @@
+"""A search tree over triangles: perfect, 16 children to a node, built once on the host and refitted on the device.
+
+Faces are halved at the median of their centroids along the longest side of the segment until a leaf holds about 16
+of them, so that every leaf is full and every path has the same length: a search is a fixed nest of loops without a
+stack. The boxes of a node's children lie side by side, to be tested together, and are stored eight times, sorted
+from near to far for each octant of directions.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+WIDTH = 16  # children of a node
+LEAF = 16  # faces of a full leaf
+FAR = 1e30  # an empty box is a far point: an inverted box would be met by every ray
+PROGRESS = 2_000_000  # faces beyond which building shows its progress
+
+
+class Tree(eqx.Module):
+    """The tree of one mesh; coordinates are relative to `centre`.
+
+    Attributes:
+        face: face in each place of each leaf [leaf, slot]; -1 where empty.
+        slot: place of each face in the flattened `face` [face].
+        children: for each level, from the root down, child numbers sorted near to far [octant * node, 16].
+        boxes: for each level, lower x, y, z, then upper x, y, z of the children [octant * node, 6 * 16] [m].
+        leaves: x, then y, then z of corners 0, 1, 2, 0, 1, then the longest edge [leaf, 16 * slot] [m]; zero where
+            a face is missing or has no area.
+        centre: centre of the bounding box [3] [m].
+        half: half of its size [3] [m].
+    """
+
+    face: Int[Array, "leaf slot"]
+    slot: Int[Array, " face"]
+    children: tuple[Int[Array, "_ 16"], ...]
+    boxes: tuple[Float[Array, "_ 96"], ...]
+    leaves: Float[Array, "leaf _"]
+    centre: Float[Array, " 3"]
+    half: Float[Array, " 3"]
+
+    @property
+    def slots(self) -> int:
+        """Places in a leaf."""
+        return self.face.shape[1]
+
+    def refit(self, vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Tree:
+        """The same tree about moved vertices; runs under jit. The order of faces stays, so large motions cost speed."""
+        return Tree(self.face, self.slot, self.children, *_tables(jnp, vertices, faces, self.face, self.children))
+
+
+def build(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Tree:
+    """The tree of faces `faces` [face, 3] over `vertices` [vertex, 3] [m], on the host.
+
+    A mesh of at most one leaf has no levels.
+    """
+    faces = faces.astype(np.int32)
+    face = _leaf_faces(vertices[faces].mean(axis=1, dtype=np.float64))
+    filled = np.flatnonzero(face.ravel() >= 0)
+    slot = np.empty(len(faces), np.int32)
+    slot[face.ravel()[filled]] = filled
+    children = _children(vertices, faces, face)
+    tables = _tables(np, vertices, faces, face, children)
+    boxes, leaves, centre, half = tables
+    return Tree(
+        jnp.asarray(face),
+        jnp.asarray(slot),
+        tuple(jnp.asarray(c) for c in children),
+        tuple(jnp.asarray(b) for b in boxes),
+        jnp.asarray(leaves),
+        jnp.asarray(centre),
+        jnp.asarray(half),
+    )
+
+
+def single_leaf(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Tree:
+    """A tree without levels that holds all faces in one leaf; runs under jit, for a handful of faces."""
+    slot = jnp.arange(faces.shape[0], dtype=jnp.int32)
+    return Tree(slot[None, :], slot, (), *_tables(jnp, vertices, faces, slot[None, :], ()))
+
+
+def _leaf_faces(centroid: NDArray[np.floating]) -> NDArray[np.int32]:
+    """Faces in leaf order [leaf, slot], -1 where empty: median splits along the longest side of each segment."""
+    count = len(centroid)
+    levels, below = 1, 1
+    while count > LEAF * WIDTH * below:
+        levels, below = levels + 1, below * WIDTH
+    top = -(-count // (LEAF * below))
+    size = -(-count // (4 * top * below)) * 4
+    total = top * below * size
+    # for the empty places repeat faces evenly over the mesh, so that all segments have one size; struck out at the end
+    repeated = np.linspace(0, count, total - count, endpoint=False).astype(np.int64)
+    point = np.concatenate([centroid, centroid[repeated]])
+    number = np.concatenate([np.arange(count), np.full(total - count, -1)]).astype(np.int32)
+
+    def share(order: NDArray[np.int64], parts: int) -> list[NDArray[np.int64]]:
+        if parts == 1:
+            return [order]
+        left = parts // 2
+        at = len(order) // parts * left
+        axis = np.argmax(np.ptp(point[order], axis=0))
+        order = order[np.argpartition(point[order, axis], at)]
+        return share(order[:at], left) + share(order[at:], parts - left)
+
+    order = np.stack(share(np.arange(total), top))
+    for _ in tqdm(range(4 * (levels - 1)), desc="search tree", disable=count < PROGRESS):
+        segment = point[order]
+        axis = np.argmax(np.ptp(segment, axis=1), axis=1)
+        key = np.take_along_axis(segment, axis[:, None, None], axis=2)[:, :, 0]
+        middle = order.shape[1] // 2
+        order = np.take_along_axis(order, np.argpartition(key, middle, axis=1), axis=1).reshape(-1, middle)
+    return number[order]
+
+
+def _children(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], face: NDArray[np.integer]
+) -> tuple[NDArray[np.int32], ...]:
+    """Child numbers of every node, near to far for each octant [octant * node, 16], for each level from the root."""
+    if len(face) == 1:
+        return ()
+    corner = _corners(np, vertices, faces, face, vertices.mean(0))
+    pyramid = _pyramid(np, *_leaf_boxes(np, *corner))
+    signs = np.array([[-1.0 if octant >> axis & 1 else 1.0 for axis in range(3)] for octant in range(8)])
+    out = []
+    for low, high in pyramid:
+        count = len(low)
+        nodes = max(1, count // WIDTH)
+        child = np.full((nodes, WIDTH), -1, np.int32)
+        child[:, : count // nodes] = np.arange(count, dtype=np.int32).reshape(nodes, -1)
+        key = np.where(low[:, :1] < FAR, (low + high) / 2, FAR)[child] @ signs.T
+        key = np.where(child[:, :, None] >= 0, key, np.inf)
+        order = np.argsort(key, axis=1, kind="stable").transpose(2, 0, 1)
+        out.append(np.take_along_axis(child[None, :, :], order, axis=2).reshape(8 * nodes, WIDTH))
+    return tuple(out)
+
+
+def _tables(xp: ModuleType, vertices: Any, faces: Any, face: Any, children: tuple[Any, ...]) -> tuple[Any, ...]:
+    """(boxes, leaves, centre, half) of `Tree`, with numpy on the host or jax.numpy on the device."""
+    used = vertices[faces].reshape(-1, 3)
+    low, high = used.min(0), used.max(0)
+    centre, half = (low + high) / 2, (high - low) / 2
+    corners, solid = _corners(xp, vertices, faces, face, centre)
+    corners = xp.where(solid[:, :, None, None], corners, xp.zeros_like(corners))
+    leaf, slot = face.shape
+    five = xp.concatenate([corners, corners[:, :, :2]], axis=2)
+    longest = _longest(xp, corners)
+    leaves = xp.concatenate([five.transpose(0, 3, 2, 1).reshape(leaf, 15 * slot), longest], axis=1)
+    margin = 16 * np.finfo(corners.dtype).eps * xp.sqrt((half * half).sum())  # slab tests round, flat boxes exist
+    boxes = []
+    if children:
+        pyramid = _pyramid(xp, *_leaf_boxes(xp, corners, solid))
+        for (below, above), child in zip(pyramid, children, strict=True):
+            valid = (child >= 0)[:, :, None]
+            index = xp.maximum(child, 0)
+            sides = (xp.where(valid, below[index], FAR) - margin, xp.where(valid, above[index], FAR) + margin)
+            boxes.append(xp.concatenate([side.transpose(0, 2, 1).reshape(len(child), -1) for side in sides], axis=1))
+    return tuple(boxes), leaves, centre, half
+
+
+def _longest(xp: ModuleType, corners: Any) -> Any:
+    """Longest edge of each face [leaf, slot] [m]."""
+    edge = corners - corners[:, :, xp.asarray([1, 2, 0])]
+    return xp.sqrt((edge * edge).sum(-1).max(-1))
+
+
+def _corners(xp: ModuleType, vertices: Any, faces: Any, face: Any, centre: Any) -> tuple[Any, Any]:
+    """Vertices of the faces in leaf order [leaf, slot, corner, 3] [m], and whether each is there and has an area."""
+    corners = vertices[faces[xp.maximum(face, 0)]] - centre[None, None, None, :]
+    normal = xp.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    longest = _longest(xp, corners)
+    # thinner than the rounding of its own corners: no area in this precision
+    thin = 4 * np.finfo(corners.dtype).eps * longest * longest
+    return corners, (face >= 0) & (abs(normal).max(-1) > thin)
+
+
+def _leaf_boxes(xp: ModuleType, corners: Any, solid: Any) -> tuple[Any, Any]:
+    """Lower and upper corner of every leaf [leaf, 3] [m]; a far point when the leaf is empty."""
+    there = solid[:, :, None]
+    low = xp.where(there, corners.min(2), FAR).min(1)
+    high = xp.where(there, corners.max(2), -FAR).max(1)
+    return low, xp.where(low < FAR, high, FAR)
+
+
+def _pyramid(xp: ModuleType, low: Any, high: Any) -> list[tuple[Any, Any]]:
+    """Boxes of all children for each level from the root down; the last are the leaves."""
+    levels = [(low, high)]
+    while len(levels[0][0]) > WIDTH:
+        below, above = levels[0]
+        below = below.reshape(-1, WIDTH, 3).min(1)
+        above = xp.where(above < FAR, above, -FAR).reshape(-1, WIDTH, 3).max(1)
+        levels.insert(0, (below, xp.where(below < FAR, above, FAR)))
+    return levels

@@ -1,0 +1,126 @@
+"""Meshes that break ray searches, and a double precision search that tests every face."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+
+from jaxir.geometry.ray import Bundle, Rays
+
+
+def sphere(subdivisions=3):
+    m = trimesh.creation.icosphere(subdivisions=subdivisions, radius=2.0)
+    return np.array(m.vertices), np.array(m.faces)
+
+
+def torus():
+    m = trimesh.creation.torus(2.0, 0.7, major_sections=40, minor_sections=20)
+    return np.array(m.vertices), np.array(m.faces)
+
+
+def soup(seed=0, count=700):
+    """Unrelated faces, a few of them repeated, some without area."""
+    rng = np.random.default_rng(seed)
+    centre = rng.normal(size=(count, 1, 3))
+    vertices = (centre + 0.3 * rng.normal(size=(count, 3, 3))).reshape(-1, 3)
+    faces = np.arange(3 * count).reshape(-1, 3)
+    faces[-20:] = faces[:20]
+    faces[30:50, 2] = faces[30:50, 1]
+    return vertices, faces
+
+
+def slivers(count=300):
+    """A fan of needles 1e-4 as wide as long."""
+    angle = np.linspace(0, 2 * np.pi * 1e-4 * count, count + 1)
+    rim = np.stack([2 * np.cos(angle), 2 * np.sin(angle), 0.2 * np.sin(50 * angle)], -1)
+    index = np.arange(count)
+    return np.concatenate([rim, [[0.0, 0.0, 0.3]]]), np.stack([index, index + 1, np.full(count, count + 1)], -1)
+
+
+def fins():
+    """Three sheets that share one edge: not a manifold."""
+    grid = np.linspace(0, 2, 9)
+    u, v = np.meshgrid(grid, grid, indexing="ij")
+    i = np.arange(64).reshape(8, 8) + np.arange(8)[:, None]
+    quad = np.stack([i, i + 9, i + 10, i + 1], -1).reshape(-1, 4)
+    faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+    vertices, out = [], []
+    for k, angle in enumerate((0.1, 2.2, 4.0)):
+        vertices.append(np.stack([u * np.cos(angle), u * np.sin(angle), v - 1], -1).reshape(-1, 3))
+        out.append(faces + 81 * k)
+    return np.concatenate(vertices), np.concatenate(out)
+
+
+BODIES = {"sphere": sphere, "torus": torus, "soup": soup, "slivers": slivers, "fins": fins}
+
+
+def incoherent(rng, count, radius=5.0):
+    """Rays from a shell through the middle of the scene."""
+    origin = rng.normal(size=(count, 3))
+    origin *= radius / np.linalg.norm(origin, axis=1, keepdims=True)
+    direction = rng.normal(size=(count, 3)) * 1.2 - origin
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return Rays(as_float(origin), as_float(direction))
+
+
+def frame(towards_eye):
+    w = np.asarray(towards_eye, float) / np.linalg.norm(towards_eye)
+    u = np.cross([0.0, 0.0, 1.0] if abs(w[2]) < 0.9 else [0.0, 1.0, 0.0], w)
+    u /= np.linalg.norm(u)
+    return np.stack([u, np.cross(w, u), w])
+
+
+def picture(towards_eye, distance, size=32, width=6.0, start=6.0):
+    """A square image in tiles of 16 x 16 neighbours."""
+    x = ((np.arange(size) + 0.5) / size - 0.5) * width
+    x, y = np.meshgrid(x, x, indexing="ij")
+    x, y = (a.reshape(size // 16, 16, size // 16, 16).transpose(0, 2, 1, 3).ravel() for a in (x, y))
+    return Bundle(
+        as_float(np.zeros(3)),
+        as_float(frame(towards_eye)),
+        as_float(0.0 if np.isinf(distance) else 1 / distance),
+        as_float(start),
+        as_float(np.stack([x, y], -1)),
+    )
+
+
+def as_float(value):
+    return jnp.asarray(value, jnp.result_type(float))
+
+
+class Lines(NamedTuple):
+    """Rays in double precision."""
+
+    origin: np.ndarray
+    direction: np.ndarray
+
+
+def every_face(vertices, faces, rays, t_min=0.0, t_max=np.inf):
+    """(t of the first face met [ray], distance of the ray to the nearest edge of any face [ray]) in float64."""
+    corners = np.asarray(vertices, np.float64)[faces]
+    origin, direction = np.asarray(rays.origin, np.float64), np.asarray(rays.direction, np.float64)
+    first, margin = [], []
+    for o, d, far in zip(origin, direction, np.broadcast_to(t_max, len(origin)), strict=True):
+        p = corners - o
+        q = np.roll(p, -1, axis=1)
+        edge = q - p
+        moment = np.einsum("fki,i->fk", np.cross(p, q), d)
+        normal = np.cross(edge[:, 0], edge[:, 1])
+        slope = normal @ d
+        same = np.all(moment >= 0, axis=1) | np.all(moment <= 0, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = np.einsum("fi,fi->f", normal, p[:, 0]) / slope
+            met = same & (slope != 0) & (np.linalg.norm(normal, axis=1) > 1e-12) & (t > t_min) & (t < far)
+        first.append(np.min(np.where(met, t, np.inf)))
+        margin.append(np.min(_line_to_segments(p, edge, d)))
+    return np.array(first), np.array(margin)
+
+
+def _line_to_segments(start, edge, d):
+    """Distances of the line through the origin along d to segments, both seen along d."""
+    a = start - (start @ d)[..., None] * d
+    e = edge - (edge @ d)[..., None] * d
+    size = np.sum(e * e, axis=-1)
+    s = np.clip(-np.sum(a * e, axis=-1) / np.where(size > 0, size, 1), 0, 1)
+    return np.linalg.norm(a + s[..., None] * e, axis=-1)

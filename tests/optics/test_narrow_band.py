@@ -1,0 +1,222 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxir.optics import _tables
+from jaxir.optics.band import LWIR, MWIR, SWIR, Band
+from jaxir.optics.narrow_band import ATMOSPHERE, NarrowBandGas
+from jaxir.optics.planck import STEFAN, band_radiance
+from jaxir.optics.resolve import resolved_nodes
+
+PRODUCTS = {"co2": 0.0630, "h2o": 0.0754, "o2": 0.1008}  # n-pentane in air, equivalence ratio 0.5
+TABLE = Band("table", 1e4 / 9300, 1e4 / 800)
+
+
+@eqx.filter_jit
+def absorption(gas, nodes, temperature):
+    return gas.absorption(nodes, temperature)
+
+
+@eqx.filter_jit
+def emitted(gas, hot, path, nodes):
+    return nodes.in_band(band_radiance(hot, nodes) * -jnp.expm1(-path * gas.absorption(nodes, hot)))
+
+
+def radiance(gas, temperature, path, nodes):
+    return emitted(gas, jnp.asarray(float(temperature)), jnp.asarray(float(path)), nodes)
+
+
+def single_bin(centre, **kwargs):
+    return resolved_nodes(Band("bin", 1e4 / (centre + 25), 1e4 / (centre - 25)), **kwargs)
+
+
+def test_thin_limit_is_the_table(x64):
+    # Two hot rows; the mean over quantiles of kappa is k p x 273/T whatever the shape of the distribution.
+    for centre, temperature, k in ((2325.0, 300.0, 26.23), (2325.0, 1000.0, 21.86), (2275.0, 2000.0, 14.11)):
+        nodes = single_bin(centre, points=40)
+        kappa = absorption(NarrowBandGas(ATMOSPHERE, co2=0.1), nodes, jnp.asarray(temperature))
+        assert float(kappa @ nodes.weight) == pytest.approx(100 * k * 0.1 * 273 / temperature, rel=3e-3)
+
+
+def test_species_add_and_absent_ones_cost_nothing():
+    nodes = resolved_nodes(MWIR)
+    hot = jnp.asarray([400.0, 1400.0])
+    both = absorption(NarrowBandGas(3e4, h2o=0.1, co2=0.05), nodes, hot)
+    assert both.shape == (2, nodes.count) and bool((both > 0).all())
+    dry = NarrowBandGas(3e4, co2=0.05)
+    assert dry.h2o is None and dry.co is None
+    one = jax.make_jaxpr(lambda g, t: g.absorption(nodes, t))(dry, hot)
+    two = jax.make_jaxpr(lambda g, t: g.absorption(nodes, t))(NarrowBandGas(3e4, h2o=0.1, co2=0.05), hot)
+    assert str(one).count("log ") < str(two).count("log ")
+
+
+def test_cells_may_have_any_shape(precision):
+    nodes = single_bin(2325.0)
+    hot = jnp.linspace(300, 2000, 12).reshape(2, 3, 2)
+    gas = NarrowBandGas(jnp.full((2, 3, 2), 3e4), co2=0.1)
+    kappa = absorption(gas, nodes, hot)
+    assert kappa.shape == (2, 3, 2, nodes.count) and kappa.dtype == np.dtype(precision)
+    alone = absorption(NarrowBandGas(3e4, co2=0.1), nodes, hot[1, 2, 1])
+    assert np.allclose(kappa[1, 2, 1], alone, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("species", "temperature", "reference", "missing"),
+    # Leckner (1972) total emissivities at 1/10/100 bar cm, 1 atm, x = 0.1. `missing` bounds what the spectrum below
+    # 800 cm-1, which the table does not cover, can add: there the gas is at most black.
+    [
+        ("h2o", 1500.0, (0.0200, 0.1086, 0.3397), 0.017),
+        ("h2o", 2000.0, (0.0116, 0.0764, 0.2930), 0.008),
+        ("co2", 1000.0, (0.0530, 0.1146, 0.1695), 0.048),
+        ("co2", 1500.0, (0.0384, 0.0975, 0.1564), 0.017),
+        ("co2", 2000.0, (0.0234, 0.0712, 0.1270), 0.008),
+    ],
+)
+def test_total_emissivity_of_leckner(species, temperature, reference, missing):
+    nodes = resolved_nodes(TABLE, pair_points=0)
+    gas = NarrowBandGas(ATMOSPHERE, **{species: 0.1})
+    for column, known in zip((1.0, 10.0, 100.0), reference, strict=True):
+        path = column * 0.01 / (0.1 * 1.01325)
+        total = float(radiance(gas, temperature, path, nodes)[0] / (STEFAN * np.pi**4 / 15 * temperature**4))
+        assert known * 0.91 - missing < total < known * 1.06
+
+
+@pytest.mark.parametrize(
+    ("temperature", "swir", "lwir"), [(1500.0, 1973.0, 203.0), (1000.0, 332.0, 49.0), (600.0, 8.9, 4.0)]
+)
+def test_plume_like_radiance(temperature, swir, lwir):
+    # SP-3080's own curve of growth with its Doppler rule, at 1 m and 0.3 atm.
+    nodes = resolved_nodes([SWIR, LWIR])
+    got = radiance(NarrowBandGas(0.3 * ATMOSPHERE, **PRODUCTS), temperature, 1.0, nodes)
+    assert np.asarray(got) == pytest.approx(np.array([swir, lwir]), rel=0.045)
+
+
+@pytest.mark.parametrize("pressure", [0.1, 0.3, 1.0])
+@pytest.mark.parametrize("temperature", [1000.0, 1500.0])
+def test_co2_at_4_3_um_line_by_line(pressure, temperature, co2_lines, x64):
+    amount, path = 0.0630, 0.3
+    air = {"o2": PRODUCTS["o2"]}
+    gas = NarrowBandGas(pressure * ATMOSPHERE, co2=amount, **air)
+    width = float(gas._lorentz("CO2", jnp.asarray(pressure), jnp.asarray(temperature)))
+    wavenumber, kappa = co2_lines(temperature, pressure * amount, width)
+    nodes = resolved_nodes(Band("4.3", 1e4 / 2400, 1e4 / 2000))
+    exact = 0.0
+    for low in np.unique(nodes.lower):
+        inside = (wavenumber >= low) & (wavenumber < low + 50)
+        one = single_bin(float(low) + 25, points=1)
+        exact += float(band_radiance(jnp.asarray(temperature), one)[0]) * np.mean(-np.expm1(-path * kappa[inside]))
+    got = float(radiance(gas, temperature, path, nodes)[0])
+    assert got == pytest.approx(exact, rel=0.08)
+
+
+def test_pairs_of_quantiles_let_two_gases_overlap_at_random():
+    # 2.7 um, where both are strong: product of the gases' own bin transmittances.
+    square, plain = (single_bin(3625.0, pair_points=n) for n in (8, 0))
+    hot, path = jnp.asarray(1000.0), 1.0
+    gas = NarrowBandGas(0.3 * ATMOSPHERE, **PRODUCTS)
+
+    def mean(nodes, kappa):
+        return float(jnp.exp(-path * kappa) @ nodes.weight)
+
+    alone = [
+        mean(plain, absorption(eqx.tree_at(where, gas, jnp.asarray(1e-12)), plain, hot))
+        for where in (lambda g: g.co2, lambda g: g.h2o)
+    ]
+    exact = 1 - alone[0] * alone[1]
+    assert 1 - mean(square, absorption(gas, square, hot)) == pytest.approx(exact, rel=0.01)
+    assert 1 - mean(plain, absorption(gas, plain, hot)) < 0.95 * exact
+
+
+def test_no_step_in_value_or_slope_across_table_temperatures(x64):
+    nodes = resolved_nodes([MWIR, LWIR], width=100.0, points=2, pair_points=2)
+    gas = NarrowBandGas(3e4, co=0.01, **PRODUCTS)
+
+    def log_kappa(t):
+        return jnp.log(gas.absorption(nodes, t))
+
+    slope = jax.jit(lambda t: jax.jvp(log_kappa, (t,), (jnp.ones_like(t),))[1])
+    for level in _tables.HOT_GAS_TEMPERATURE:
+        left, right = slope(jnp.asarray(level * (1 - 1e-7))), slope(jnp.asarray(level * (1 + 1e-7)))
+        assert np.allclose(left, right, rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.parametrize("temperature", [180.0, 255.0, 2500.0, 3500.0])
+def test_beyond_the_table_strength_is_a_power_of_temperature(temperature, x64):
+    nodes = resolved_nodes([MWIR, LWIR], width=100.0, points=1, pair_points=0)
+    kappa = absorption(NarrowBandGas(3e4, **PRODUCTS), nodes, jnp.asarray([temperature, temperature * 1.01]))
+    assert bool(jnp.isfinite(kappa).all()) and bool((kappa > 0).all())
+    change = jnp.abs(jnp.log(kappa[1] / kappa[0]))
+    assert float(change.max()) < 0.6  # no blow-up of the cubic
+
+
+def test_gradients_match_differences_in_both_modes(x64):
+    nodes = resolved_nodes([MWIR, LWIR], width=200.0, points=2, pair_points=2)
+    weight = band_radiance(jnp.asarray(1000.0), nodes)
+
+    @jax.jit
+    def value(p):
+        gas = NarrowBandGas(p[1] * 1e4, h2o=p[2], co2=p[3], co=p[4], o2=p[5])
+        return (-jnp.expm1(-gas.absorption(nodes, p[0] * 100)) * weight).sum()
+
+    backward, onward, curvature = jax.jit(jax.grad(value)), jax.jit(jax.jacfwd(value)), jax.jit(jax.hessian(value))
+    step = 1e-5
+    for temperature in (255.0, 299.0, 777.0, 2100.0, 2800.0):
+        at = jnp.asarray([temperature / 100, 3.0, 0.07, 0.06, 0.01, 0.1])
+        reverse = backward(at)
+        assert np.allclose(reverse, onward(at), rtol=1e-10)
+        for i in range(6):
+            change = jnp.zeros(6).at[i].set(step * at[i])
+            central = (value(at + change) - value(at - change)) / (2 * step * at[i])
+            assert float(reverse[i]) == pytest.approx(float(central), rel=1e-5, abs=1e-8)
+        assert bool(jnp.isfinite(curvature(at)).all())
+
+
+def test_gradient_is_finite_without_gas(precision):
+    nodes = resolved_nodes(MWIR, width=200.0, points=2)
+
+    def value(x):
+        return absorption(NarrowBandGas(3e4, h2o=x, co2=x), nodes, jnp.asarray([255.0, 900.0])).sum()
+
+    slope = jax.jit(jax.grad(value))(jnp.asarray(0.0))
+    assert bool(jnp.isfinite(slope)) and float(slope) > 0 and float(value(jnp.asarray(0.0))) == 0
+
+
+def test_wide_bins_group_rows():
+    # 200 cm-1 bins against 50 cm-1: the group keeps the weak and the strong limit of the mean
+    fine, coarse = resolved_nodes(MWIR), resolved_nodes(MWIR, width=200.0)
+    gas = NarrowBandGas(0.3 * ATMOSPHERE, **PRODUCTS)
+    a, b = radiance(gas, 1200.0, 0.5, fine), radiance(gas, 1200.0, 0.5, coarse)
+    assert float(b[0]) == pytest.approx(float(a[0]), rel=0.12)
+
+
+def test_new_values_do_not_retrace():
+    nodes = single_bin(2325.0)
+    count = 0
+
+    @eqx.filter_jit
+    def run(gas, nodes, t):
+        nonlocal count
+        count += 1
+        return gas.absorption(nodes, t)
+
+    for x, t in ((0.1, 300.0), (0.2, 900.0)):
+        run(NarrowBandGas(3e4, co2=x), nodes, jnp.asarray(t))
+    assert count == 1
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(ValueError, match="no species"):
+        NarrowBandGas(1e5)
+    with pytest.raises(ValueError, match="shapes"):
+        NarrowBandGas(1e5, h2o=jnp.ones(3), co2=jnp.ones(2))
+    with pytest.raises(ValueError, match="expected cells"):
+        absorption(NarrowBandGas(1e5, h2o=jnp.ones(3)), single_bin(2325.0), jnp.asarray(300.0))
+    far = resolved_nodes(Band("far", 12.0, 14.0))
+    with pytest.raises(ValueError, match="800 cm-1"):
+        NarrowBandGas(1e5, h2o=0.1).absorption(far, jnp.asarray(300.0))
+    bad = NarrowBandGas(1e5, h2o=0.7, co2=0.6)
+    assert [check.field for check in bad.checks() if not bool(check.ok.all())] == [
+        "NarrowBandGas: sum of mole fractions"
+    ]
