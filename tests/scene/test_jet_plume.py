@@ -3,11 +3,13 @@ import numpy as np
 
 import jaxir
 from jaxir._arrays import as_float
+from jaxir.transport.jet import jet_medium
 
 
 def jet(**changed):
     given = dict(nozzle=(1.0, 0.0, 0.0), axis=(-3.0, 0.0, 0.0), diameter=0.8, exit_temperature=900.0)
-    return jaxir.JetPlume(**{**given, **changed}, ambient_temperature=300.0, gas=jaxir.GrayGas([0.5, 2.0]))
+    given = {**given, "gas": jaxir.GrayGas([0.5, 2.0]), **changed}
+    return jaxir.JetPlume(**given, ambient_temperature=300.0)
 
 
 def test_core_decay_edge_and_ends(precision):
@@ -49,3 +51,20 @@ def test_its_grid_holds_the_state_at_centres():
     np.testing.assert_array_equal(twin.temperature, temperature)
     np.testing.assert_array_equal(twin.gas.coefficient, jet().mixture(fraction).coefficient)
     assert jnp.unique(fraction).size > 10
+
+
+def test_combustion_gas_is_diluted_by_air():
+    kerosene = jaxir.combustion_products(12.0, 23.0, 1.0)
+    gas = jaxir.NarrowBandGas(101325.0, kerosene.h2o, kerosene.co2)
+    mixed = gas.diluted(as_float([0.0, 0.4, 1.0]), as_float([3.0, 1.0, 1.0]))
+    want = jaxir.combustion_products(12.0, 23.0, 1.0)
+    np.testing.assert_allclose(mixed.co2, np.array([0.0, 0.4, 1.0]) * float(want.co2), rtol=1e-6)
+    np.testing.assert_allclose(mixed.o2, 0.20948 * np.array([1.0, 0.6, 0.0]), rtol=1e-4)
+    nodes = jaxir.resolved_nodes([jaxir.Band("narrow", 4.2, 4.5)])
+    exhaust = jet(gas=gas)
+    medium = jet_medium(exhaust, nodes)
+    fraction = as_float([0.25, 0.75])
+    temperature = exhaust.temperature(fraction)
+    direct = exhaust.mixture(fraction).absorption(nodes, temperature)
+    np.testing.assert_allclose(medium.extinction[np.array([256, 768])], direct, rtol=1e-5)
+    assert (np.asarray(direct) > 0).any()
