@@ -6,6 +6,10 @@ from jaxir.geometry.camera import orthographic_camera as orthographic_camera
 from jaxir.geometry.camera import perspective_camera as perspective_camera
 from jaxir.geometry.grid import Grid as Grid
 from jaxir.geometry.mesh import Mesh as Mesh
+from jaxir.geometry.sampling import Independent as Independent
+from jaxir.geometry.sampling import Lattice as Lattice
+from jaxir.geometry.sampling import Sobol as Sobol
+from jaxir.geometry.sampling import Stratified as Stratified
 from jaxir.optics.band import LWIR as LWIR
 from jaxir.optics.band import MWIR as MWIR
 from jaxir.optics.band import SWIR as SWIR
@@ -27,6 +31,7 @@ from jaxir.optics.planck import brightness_temperature as brightness_temperature
 from jaxir.optics.profile import us_standard_1976 as us_standard_1976
 from jaxir.optics.resolve import resolved_nodes as resolved_nodes
 from jaxir.render import Image as Image
+from jaxir.render import Outcome as Outcome
 from jaxir.render import Signature as Signature
 from jaxir.render import render as render
 from jaxir.render import signature as signature
@@ -38,8 +43,18 @@ from jaxir.scene.atmosphere import FixedPath as FixedPath
 from jaxir.scene.background import BlackbodyBackground as BlackbodyBackground
 from jaxir.scene.background import UniformBackground as UniformBackground
 from jaxir.scene.jet import JetPlume as JetPlume
+from jaxir.scene.near_source import DiscSource as DiscSource
+from jaxir.scene.near_source import PointSource as PointSource
+from jaxir.scene.near_source import SphereSource as SphereSource
 from jaxir.scene.plume import GridPlume as GridPlume
 from jaxir.scene.scene import Scene as Scene
 from jaxir.scene.skin import Skin as Skin
+from jaxir.scene.sky import ElevationTable as ElevationTable
 from jaxir.scene.source import ParallelSource as ParallelSource
 from jaxir.transport.jet import resolve_jet as resolve_jet
+from jaxir.transport.reflection import AmbientTerm as AmbientTerm
+from jaxir.transport.reflection import BrdfSampling as BrdfSampling
+from jaxir.transport.reflection import ClosedForm as ClosedForm
+from jaxir.transport.reflection import LightSampling as LightSampling
+from jaxir.transport.reflection import MultipleImportance as MultipleImportance
+from jaxir.transport.reflection import Reflection as Reflection

@@ -16,6 +16,7 @@ from jaxir.geometry.camera import Camera, fitted_camera, pixel_samples
 from jaxir.geometry.mesh import closest_hit
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import Band, Nodes, as_nodes
+from jaxir.scene.background import AbstractUniformBackground
 from jaxir.scene.jet import JetPlume
 from jaxir.scene.scene import Scene
 from jaxir.transport.evaluate import empty_radiance, evaluate, radiometry
@@ -155,12 +156,12 @@ class Observation(eqx.Module):
         """Predictions of both halves of the rays; their mean is the prediction. Differentiable as `evaluate`."""
         nodes = self.measurement.nodes
         optical = radiometry(scene, nodes)
-        empty = nodes.in_band(empty_radiance(optical))
+        empty = nodes.in_band(empty_radiance(optical, self.paths.rays.direction))
         rows, bands = self.measurement.value.shape
-        contrast = nodes.in_band(evaluate(optical, self.paths)) - empty[None, :]
+        contrast = nodes.in_band(evaluate(optical, self.paths)) - empty
         sums = 2 * jnp.einsum("gp,gpb->gb", self.weight, contrast.reshape((*self.weight.shape, bands)))
         spread = jnp.zeros((2 * rows, bands), sums.dtype).at[self.group].set(sums)
-        base = empty if self.measurement.per_pixel else jnp.zeros_like(empty)
+        base = empty[0] if self.measurement.per_pixel else jnp.zeros_like(empty[0])  # uniform: see `observe`
         return spread.reshape((2, rows, bands)) + base[None, None, :]
 
 
@@ -176,8 +177,11 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""]) -> Obse
         The observation. Runs on the host: the number of kept rays depends on the scene.
 
     Raises:
-        ValueError: no ray meets anything.
+        ValueError: no ray meets anything, or images are fitted before a background that is not uniform.
     """
+    background = scene.background
+    if measurement.per_pixel and not (background is None or isinstance(background, AbstractUniformBackground)):
+        raise ValueError(f"measurement: got images before a {type(background).__name__}, expected a uniform background")
     found = []
     for view in range(measurement.cameras.pixel.shape[0]):
         camera = jax.tree.map(lambda leaf, index=view: leaf[index], measurement.cameras)
@@ -194,7 +198,9 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""]) -> Obse
         row, weight = jnp.asarray(np.repeat([view for view, _ in found], counts), jnp.int32), rays.weight
     group = np.asarray(row) + measurement.value.shape[0] * np.asarray(rays.second)
     present, index, gap = _table(group)
-    paths = store_crossings(scene, trace(scene, jax.tree.map(lambda leaf: leaf[index.reshape(-1)], rays.rays)))
+    paths = store_crossings(
+        scene, trace(scene, jax.tree.map(lambda leaf: leaf[index.reshape(-1)], rays.rays), None, key)
+    )
     if paths.crossings is not None:
         longest = int(paths.crossings.longest())
         paths = eqx.tree_at(lambda p: p.crossings, paths, paths.crossings.trim(max(1, longest)))

@@ -11,9 +11,10 @@ from jaxir._arrays import Check
 from jaxir.scene.atmosphere import AbstractAtmosphere
 from jaxir.scene.background import AbstractBackground
 from jaxir.scene.jet import JetPlume
+from jaxir.scene.near_source import AbstractAreaSource
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.skin import Skin
-from jaxir.scene.source import ParallelSource
+from jaxir.scene.source import AbstractDeltaSource
 
 
 class Scene(eqx.Module):
@@ -25,20 +26,31 @@ class Scene(eqx.Module):
     Attributes:
         skin: opaque surface.
         plume: emitting and absorbing gas.
-        sources: lights that have no extent.
+        sources: lights, without extent (`ParallelSource`, `PointSource`) and with (`DiscSource`, `SphereSource`). They
+            light the skin; a camera does not see them, and they cast no shadow.
         background: what rays see that meet nothing.
         atmosphere: the path from the target to the sensor.
     """
 
     skin: Skin | None = None
     plume: GridPlume | JetPlume | None = None
-    sources: tuple[ParallelSource, ...] = ()
+    sources: tuple[AbstractDeltaSource | AbstractAreaSource, ...] = ()
     background: AbstractBackground | None = None
     atmosphere: AbstractAtmosphere | None = None
 
     def __check_init__(self):
         if self.skin is None and self.plume is None:
             raise ValueError("Scene: got neither skin nor plume, expected at least one of them")
+
+    @property
+    def delta_sources(self) -> tuple[AbstractDeltaSource, ...]:
+        """The sources without extent."""
+        return tuple(source for source in self.sources if isinstance(source, AbstractDeltaSource))
+
+    @property
+    def area_sources(self) -> tuple[AbstractAreaSource, ...]:
+        """The sources with an extent."""
+        return tuple(source for source in self.sources if isinstance(source, AbstractAreaSource))
 
     def extent(self) -> Float[Array, "corner 3"]:
         """Points whose convex hull holds skin and plume [corner, 3] [m]: mesh vertices and corners of the plume."""

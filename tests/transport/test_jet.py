@@ -136,7 +136,7 @@ def test_a_jet_as_warm_as_its_surroundings_is_invisible():
     scene = jaxir.Scene(plume=warm, background=jaxir.BlackbodyBackground(300.0))
     camera = jaxir.orthographic_camera(60.0, 10.0, 0.4, (16, 16), target=(-2.0, 0.2, 0.2))
     image = jaxir.render(scene, camera, jaxir.LWIR, samples=2)
-    np.testing.assert_allclose(image.radiance, float(image.empty[0]), rtol=1e-5)
+    np.testing.assert_allclose(image.radiance, float(image.empty.max()), rtol=1e-5)
 
 
 @jax.jit
