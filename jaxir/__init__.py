@@ -42,6 +42,7 @@ from jaxir.scene.air_path import UniformAtmosphere as UniformAtmosphere
 from jaxir.scene.atmosphere import FixedPath as FixedPath
 from jaxir.scene.background import BlackbodyBackground as BlackbodyBackground
 from jaxir.scene.background import UniformBackground as UniformBackground
+from jaxir.scene.jet import JetPlume as JetPlume
 from jaxir.scene.near_source import DiscSource as DiscSource
 from jaxir.scene.near_source import PointSource as PointSource
 from jaxir.scene.near_source import SphereSource as SphereSource
@@ -50,6 +51,7 @@ from jaxir.scene.scene import Scene as Scene
 from jaxir.scene.skin import Skin as Skin
 from jaxir.scene.sky import ElevationTable as ElevationTable
 from jaxir.scene.source import ParallelSource as ParallelSource
+from jaxir.transport.jet import resolve_jet as resolve_jet
 from jaxir.transport.reflection import AmbientTerm as AmbientTerm
 from jaxir.transport.reflection import BrdfSampling as BrdfSampling
 from jaxir.transport.reflection import ClosedForm as ClosedForm

@@ -116,7 +116,8 @@ def render(
     Raises:
         ValueError: wrong shapes, values out of range, an eye inside the scene, `rtol` inside jit.
 
-    Differentiable, in both modes, in every radiometric leaf of the scene; the geometry is seen as fixed.
+    Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
+    geometry is seen as fixed.
     """
     nodes = as_nodes(bands)
     strata = pixel_strata(samples)
@@ -367,7 +368,7 @@ def signature(
     nodes = as_nodes(bands)
     strata = pixel_strata(samples)
     base = jax.random.key(0) if key is None else key
-    extent = scene.extent()
+    extent = lax.stop_gradient(scene.extent())  # a camera follows the outline of a jet but does not belong to it
     cameras = jax.vmap(lambda a: fitted_camera(a[0], a[1], extent, shape, distance))(aspect)
     outside = jax.vmap(lambda camera: _eye_outside(scene, camera).value)(cameras)
     eye = Check("signature: (radius of the scene) / distance", outside, outside < 1, "less than 1: sensors outside it")
