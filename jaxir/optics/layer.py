@@ -79,6 +79,25 @@ def attenuate(radiance: Float[Array, "*batch"], u: Float[Array, "*batch"]) -> Fl
     return jnp.where(u < SERIES_BELOW, radiance - (u * phi1(u)) * radiance, jnp.exp(-u) * radiance)
 
 
+def across_layer(
+    behind: Float[Array, "*batch"],
+    extinction: Float[Array, "*batch"],
+    emission: Float[Array, "*batch"],
+    length: Float[Array, "*batch"],
+) -> Float[Array, "*batch"]:
+    """The value of `through_layer`, in the fewest operations: one exponential, one division, one selection.
+
+    Two whole formulas and a selection between them compile to twice the speed of selections inside one formula.
+
+    Not differentiable: what is selected away may have no finite derivative.
+    """
+    u = extinction * length
+    passed = jnp.exp(-u)
+    thin = behind + length * _series(jnp.minimum(u, SERIES_BELOW), 1) * (emission - extinction * behind)
+    thick = passed * behind + (1 - passed) / jnp.maximum(extinction, 1e-37) * emission
+    return jnp.where(u < SERIES_BELOW, thin, thick)
+
+
 @jax.custom_jvp
 def through_layer(
     behind: Float[Array, "*batch"],
@@ -99,8 +118,7 @@ def through_layer(
 
     Differentiable in all arguments, forward and reverse, to any order.
     """
-    u = extinction * length
-    return attenuate(behind, u) + length * phi1(u) * emission
+    return across_layer(behind, extinction, emission, length)
 
 
 @through_layer.defjvp
