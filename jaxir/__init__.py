@@ -27,3 +27,7 @@ from jaxir.scene.plume import GridPlume as GridPlume
 from jaxir.scene.scene import Scene as Scene
 from jaxir.scene.skin import Skin as Skin
 from jaxir.scene.source import ParallelSource as ParallelSource
+from jaxir.transport.path_estimator import CellSum as CellSum
+from jaxir.transport.path_estimator import CombinedIntegration as CombinedIntegration
+from jaxir.transport.path_estimator import LineIntegration as LineIntegration
+from jaxir.transport.path_estimator import PointIntegration as PointIntegration

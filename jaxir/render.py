@@ -19,6 +19,7 @@ from jaxir.geometry.camera import TILE, Camera, fitted_camera, view_frame
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.scene.scene import Scene
 from jaxir.transport.evaluate import Radiometry, empty_radiance, evaluate, radiometry, unoccluded_radiance
+from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import trace
 
 TILES_AT_ONCE = 64  # 16384 rays: bounds memory whatever the image
@@ -64,6 +65,7 @@ def render(
     *,
     samples: int = 8,
     key: Key[Array, ""] | None = None,
+    path: AbstractPathEstimator = CellSum(),  # noqa: B008
 ) -> Image:
     """Radiance image of a scene.
 
@@ -81,6 +83,7 @@ def render(
         bands: bands (one gray node each) or spectral nodes.
         samples: rays per pixel; even.
         key: random key; a fixed one by default, so results repeat.
+        path: estimator of the plume's radiance along a ray; the exact sum over cells unless asked otherwise.
 
     Returns:
         The image. Memory beyond it is bounded by `TILES_AT_ONCE` tiles of 256 rays.
@@ -96,7 +99,10 @@ def render(
     nodes = enforce(nodes, [*scene.checks(), *camera.checks(), _eye_outside(scene, camera)])
     optical = _radiometry(scene, nodes)
     mean, variance = _over_chunks(
-        lambda begin: _chunk(optical, camera, key, begin, strata), _chunks(camera), (optical, camera, key), "render"
+        lambda begin: _chunk(optical, camera, key, begin, strata, path),
+        _chunks(camera),
+        (optical, camera, key),
+        "render",
     )
     mean, variance = _untile(camera, mean), _untile(camera, variance)
     return Image(mean, _sqrt(variance), nodes.in_band(empty_radiance(optical)), camera, nodes.names)
@@ -124,7 +130,12 @@ def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Flo
 
 @eqx.filter_jit
 def _chunk(
-    optical: Radiometry, camera: Camera, key: Array, begin: Int[Array, ""], strata: tuple[int, int]
+    optical: Radiometry,
+    camera: Camera,
+    key: Array,
+    begin: Int[Array, ""],
+    strata: tuple[int, int],
+    path: AbstractPathEstimator = CellSum(),  # noqa: B008
 ) -> tuple[Float[Array, "tile pixel band"], Float[Array, "tile pixel band"]]:
     """Mean radiance and its variance in the pixels of one chunk of tiles."""
     size, pixels = _chunk_size(camera), TILE * TILE
@@ -132,16 +143,18 @@ def _chunk(
     tile = begin + jnp.arange(size, dtype=jnp.int32)
     cells = as_float(np.array(strata))
 
-    def sample(offset: Array) -> Array:
+    def sample(drawn: tuple[Array, Array | None]) -> Array:
+        offset, along = drawn
         screen = camera.screen(tile, offset).reshape(-1, 2)
         paths = trace(optical.scene, camera.bundle(screen, start))
-        return optical.nodes.in_band(evaluate(optical, paths)).reshape(size, pixels, -1)
+        return optical.nodes.in_band(evaluate(optical, paths, path, along)).reshape(size, pixels, -1)
 
     def stratum(carry: tuple[Array, Array], index: Array) -> tuple[tuple[Array, Array], None]:
         corner = jnp.stack([index % strata[0], index // strata[0]]).astype(cells.dtype)
         own = jax.random.fold_in(jax.random.fold_in(key, begin), index)
         jitter = jax.random.uniform(own, (2, size, pixels, 2), cells.dtype)
-        pair = lax.map(sample, (corner[None, None, None, :] + jitter) / cells[None, None, None, :])
+        along = None if isinstance(path, CellSum) else jax.random.split(jax.random.fold_in(own, 1), 2)
+        pair = lax.map(sample, ((corner[None, None, None, :] + jitter) / cells[None, None, None, :], along))
         total, square = carry
         return (total + (pair[0] + pair[1]) / 2, square + (pair[0] - pair[1]) ** 2 / 4), None
 

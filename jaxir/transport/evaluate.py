@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Key
 
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import Nodes
@@ -15,6 +15,7 @@ from jaxir.scene.scene import Scene
 from jaxir.scene.source import per_node
 from jaxir.transport.crossing_sum import crossing_sum
 from jaxir.transport.march import march, transmittance
+from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum, sampled_march
 from jaxir.transport.paths import Paths
 
 
@@ -67,7 +68,12 @@ def radiometry(scene: Scene, nodes: Nodes) -> Radiometry:
     )
 
 
-def evaluate(optical: Radiometry, paths: Paths) -> Float[Array, "ray node"]:
+def evaluate(
+    optical: Radiometry,
+    paths: Paths,
+    path: AbstractPathEstimator = CellSum(),  # noqa: B008
+    key: Key[Array, ""] | None = None,
+) -> Float[Array, "ray node"]:
     """Radiance at the entrance pupil along each path, equations (2) and (3) with (4) and (5) in front.
 
         L = atmosphere's transmittance * [plume in front of (skin, or background where no skin is met)] + path radiance
@@ -75,6 +81,8 @@ def evaluate(optical: Radiometry, paths: Paths) -> Float[Array, "ray node"]:
     Args:
         optical: the scene on the nodes, `radiometry(scene, nodes)`.
         paths: `trace(scene, rays)`.
+        path: how the radiance of the plume is estimated; its type decides what is compiled.
+        key: random key, which every estimator but `CellSum` needs.
 
     Returns:
         Radiance [ray, node] [W m-2 sr-1], integrated over each node's bin.
@@ -84,13 +92,16 @@ def evaluate(optical: Radiometry, paths: Paths) -> Float[Array, "ray node"]:
     radiance = _behind_plume(optical, paths)
     grid = None if optical.scene.plume is None else optical.scene.plume.grid
     if grid is not None and optical.extinction is not None and optical.emission is not None:
-        if paths.crossings is None:
+        cells = (-1, optical.nodes.count)
+        extinction, emission = optical.extinction.reshape(cells), optical.emission.reshape(cells)
+        if not isinstance(path, CellSum):
+            if key is None:
+                raise ValueError(f"key: got None, expected a random key for {type(path).__name__}")
+            radiance = sampled_march(path, grid, extinction, emission, paths.rays, paths.length, radiance, key)
+        elif paths.crossings is None:
             radiance = march(grid, optical.extinction, optical.emission, paths.rays, paths.length, radiance)
         else:
-            cells = (-1, optical.nodes.count)
-            radiance = crossing_sum(
-                paths.crossings, optical.extinction.reshape(cells), optical.emission.reshape(cells), radiance
-            )
+            radiance = crossing_sum(paths.crossings, extinction, emission, radiance)
     return through_air(optical, radiance)
 
 

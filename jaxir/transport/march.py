@@ -9,7 +9,7 @@ by the summed optical depth: next to a bright background the emission of thin ce
 
 The tangent is marched along with the whole radiance R,
 
-    dR <- exp(-u) dR + l phi1(u) dj + l (l phi2(u) j - R) dmu    (R: after the cell),
+    dR <- exp(-u) dR + l phi1(u) dj - l (exp(-u) R + l thinning(u) j) dmu    (R: behind the cell),
 
 and the adjoint near to far, with T the transmittance so far (1 at the eye) and Q the radiance still to come (all of
 it at the eye), which needs neither stored steps nor divisions:
@@ -33,7 +33,7 @@ from jaxir._arrays import require_shape
 from jaxir.geometry.grid import Grid
 from jaxir.geometry.ray import Rays
 from jaxir.geometry.walk import Segments, Walk, slab_segments, start_walk
-from jaxir.optics.layer import SERIES_BELOW, across_layer, attenuate, phi1, phi2
+from jaxir.optics.layer import SERIES_BELOW, across_layer, attenuate, phi1, phi2, thinning
 from jaxir.transport.streaming import is_active, register_jvp, register_linear, streaming_primitive, zero_like
 
 CHUNK = 256  # consecutive rays marched together: enough to fill the vector units, few enough to stay alike
@@ -149,12 +149,12 @@ def _radiance_tangent(extinction, emission, behind, _, *rest, shape, wrt):
             mu, j = _at(extinction, cell), _at(emission, cell)
             length = _beside(length, mu)
             u = mu * length
-            gain = length * phi1(u)
+            gain, passed = length * phi1(u), attenuate(radiance, u)
             radiance, d_radiance = across_layer(radiance, mu, j, length), attenuate(d_radiance, u)
             if d_emission is not None:
                 d_radiance = d_radiance + gain * _at(d_emission, cell)
             if d_extinction is not None:
-                d_radiance = d_radiance + length * (length * phi2(u) * j - radiance) * _at(d_extinction, cell)
+                d_radiance = d_radiance - length * (passed + length * thinning(u) * j) * _at(d_extinction, cell)
             return radiance, d_radiance
 
         return (), _fold(walk, update, (behind, d_behind), near_to_far=False)[1]
