@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
 from jaxir._vector import dot
 from jaxir.geometry.ray import Rays
@@ -21,6 +21,7 @@ from jaxir.transport.closed_form import closed_form
 from jaxir.transport.jet import JetMedium, jet_medium
 from jaxir.transport.lights import light_radiance
 from jaxir.transport.medium import GridMedium, grid_medium
+from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import Chain, Paths
 from jaxir.transport.reflection import ClosedForm, Reflection, reflection_of
 
@@ -66,7 +67,13 @@ def radiometry(scene: Scene, nodes: Nodes) -> Radiometry:
     )
 
 
-def evaluate(optical: Radiometry, paths: Paths, reflection: Reflection | None = None) -> Float[Array, "ray node"]:
+def evaluate(
+    optical: Radiometry,
+    paths: Paths,
+    reflection: Reflection | None = None,
+    path: AbstractPathEstimator = CellSum(),  # noqa: B008
+    key: Key[Array, ""] | None = None,
+) -> Float[Array, "ray node"]:
     """Radiance at the entrance pupil along each path, equations (2) and (3) with (4) and (5) in front.
 
         L = atmosphere's transmittance * [plume in front of (skin, or background where no skin is met)] + path radiance
@@ -75,9 +82,14 @@ def evaluate(optical: Radiometry, paths: Paths, reflection: Reflection | None = 
         optical: the scene on the nodes, `radiometry(scene, nodes)`.
         paths: `trace(scene, rays, reflection, key)`.
         reflection: what the paths were traced with.
+        path: how the radiance of a gridded plume in front of the eye is estimated; its type decides what is compiled.
+        key: random key, which every estimator but `CellSum` needs.
 
     Returns:
         Radiance [ray, node] [W m-2 sr-1], integrated over each node's bin.
+
+    Raises:
+        ValueError: an estimator that samples, without a key or without a gridded plume.
 
     Differentiable, in both modes, in every radiometric leaf of the scene, without bias: directions keep the density
     with which they were drawn and the brdf in front of it carries the derivative. Not in the scene's geometry,
@@ -92,6 +104,10 @@ def evaluate(optical: Radiometry, paths: Paths, reflection: Reflection | None = 
                 optical, paths.vertex(), reflection
             )
         radiance = jnp.where((paths.hit.face >= 0)[:, None], skin, radiance)
+    if not isinstance(path, CellSum):
+        if key is None or not isinstance(optical.medium, GridMedium):
+            raise ValueError(f"path: got {type(path).__name__}, expected a random key and a gridded plume with it")
+        return through_air(optical, optical.medium.sampled_leg(path, paths.rays, paths.length, radiance, key))
     if isinstance(optical.medium, GridMedium) and paths.crossings is not None:
         return through_air(optical, optical.medium.listed_leg(paths.crossings, radiance))
     return through_air(optical, _through_plume(optical, paths.rays, paths.length, radiance))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 
 import equinox as eqx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
 from jaxir.geometry.grid import Grid
 from jaxir.geometry.ray import Rays
@@ -15,6 +15,7 @@ from jaxir.optics.planck import band_radiance
 from jaxir.scene.plume import GridPlume
 from jaxir.transport.crossing_sum import crossing_sum
 from jaxir.transport.march import march, transmittance
+from jaxir.transport.path_estimator import AbstractPathEstimator, sampled_march
 
 
 class AbstractMedium(eqx.Module):
@@ -54,6 +55,19 @@ class GridMedium(AbstractMedium):
         """`leg` over cells that were listed before."""
         cells = (-1, self.extinction.shape[-1])
         return crossing_sum(crossings, self.extinction.reshape(cells), self.emission.reshape(cells), behind)
+
+    def sampled_leg(
+        self,
+        path: AbstractPathEstimator,
+        rays: Rays,
+        t_max: Float[Array, " ray"],
+        behind: Float[Array, "ray node"],
+        key: Key[Array, ""],
+    ) -> Float[Array, "ray node"]:
+        """`leg` by an estimator that samples a place on every ray."""
+        cells = (-1, self.extinction.shape[-1])
+        extinction, emission = self.extinction.reshape(cells), self.emission.reshape(cells)
+        return sampled_march(path, self.grid, extinction, emission, rays, t_max, behind, key)
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`."""
