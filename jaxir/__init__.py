@@ -24,8 +24,15 @@ from jaxir.optics.cold_path import slant_range as slant_range
 from jaxir.optics.combustion import combustion_products as combustion_products
 from jaxir.optics.gas import GrayGas as GrayGas
 from jaxir.optics.microfacet import RoughConductor as RoughConductor
+from jaxir.optics.mie import mie_table as mie_table
 from jaxir.optics.narrow_band import NarrowBandGas as NarrowBandGas
 from jaxir.optics.paint import SandfordRobertson as SandfordRobertson
+from jaxir.optics.particles import GrayParticles as GrayParticles
+from jaxir.optics.particles import Particles as Particles
+from jaxir.optics.particles import number_density as number_density
+from jaxir.optics.phase import HenyeyGreenstein as HenyeyGreenstein
+from jaxir.optics.phase import Isotropic as Isotropic
+from jaxir.optics.phase import TabulatedPhase as TabulatedPhase
 from jaxir.optics.planck import band_radiance as band_radiance
 from jaxir.optics.planck import brightness_temperature as brightness_temperature
 from jaxir.optics.profile import us_standard_1976 as us_standard_1976
