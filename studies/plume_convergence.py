@@ -110,7 +110,7 @@ def main(argv: list[str]) -> None:
     print(
         "the ranking of the paper holds: the combination needs a few percent fewer rays than the line and thousands of "
         "times fewer than the point; its .020 % at 1000 rays cannot hold (.638 / sqrt(10) = .20), and the exact sum "
-        f"needs one ray and errs by {rows[-len(RAYS)]['measured_percent']:.1e} %; see {chosen.out}/"
+        f"needs one ray and errs by {summed:.1e} %; see {chosen.out}/"
     )
 
 
