@@ -24,8 +24,15 @@ from jaxir.optics.cold_path import slant_range as slant_range
 from jaxir.optics.combustion import combustion_products as combustion_products
 from jaxir.optics.gas import GrayGas as GrayGas
 from jaxir.optics.microfacet import RoughConductor as RoughConductor
+from jaxir.optics.mie import mie_table as mie_table
 from jaxir.optics.narrow_band import NarrowBandGas as NarrowBandGas
 from jaxir.optics.paint import SandfordRobertson as SandfordRobertson
+from jaxir.optics.particles import GrayParticles as GrayParticles
+from jaxir.optics.particles import Particles as Particles
+from jaxir.optics.particles import number_density as number_density
+from jaxir.optics.phase import HenyeyGreenstein as HenyeyGreenstein
+from jaxir.optics.phase import Isotropic as Isotropic
+from jaxir.optics.phase import TabulatedPhase as TabulatedPhase
 from jaxir.optics.planck import band_radiance as band_radiance
 from jaxir.optics.planck import brightness_temperature as brightness_temperature
 from jaxir.optics.profile import us_standard_1976 as us_standard_1976
@@ -42,6 +49,7 @@ from jaxir.scene.air_path import UniformAtmosphere as UniformAtmosphere
 from jaxir.scene.atmosphere import FixedPath as FixedPath
 from jaxir.scene.background import BlackbodyBackground as BlackbodyBackground
 from jaxir.scene.background import UniformBackground as UniformBackground
+from jaxir.scene.jet import JetPlume as JetPlume
 from jaxir.scene.near_source import DiscSource as DiscSource
 from jaxir.scene.near_source import PointSource as PointSource
 from jaxir.scene.near_source import SphereSource as SphereSource
@@ -50,6 +58,11 @@ from jaxir.scene.scene import Scene as Scene
 from jaxir.scene.skin import Skin as Skin
 from jaxir.scene.sky import ElevationTable as ElevationTable
 from jaxir.scene.source import ParallelSource as ParallelSource
+from jaxir.transport.jet import resolve_jet as resolve_jet
+from jaxir.transport.path_estimator import CellSum as CellSum
+from jaxir.transport.path_estimator import CombinedIntegration as CombinedIntegration
+from jaxir.transport.path_estimator import LineIntegration as LineIntegration
+from jaxir.transport.path_estimator import PointIntegration as PointIntegration
 from jaxir.transport.reflection import AmbientTerm as AmbientTerm
 from jaxir.transport.reflection import BrdfSampling as BrdfSampling
 from jaxir.transport.reflection import ClosedForm as ClosedForm

@@ -20,6 +20,7 @@ from jaxir.scene.background import AbstractUniformBackground
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import ParallelSource
 from jaxir.transport.evaluate import Radiometry, empty_radiance, evaluate, radiometry, unoccluded_radiance
+from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import trace
 from jaxir.transport.reflection import Reflection, reflection_of
 
@@ -86,6 +87,7 @@ def render(
     reflection: Reflection | None = None,
     rtol: float | None = None,
     max_samples: int = 4096,
+    path: AbstractPathEstimator = CellSum(),  # noqa: B008
 ) -> Image:
     """Radiance image of a scene.
 
@@ -109,6 +111,7 @@ def render(
         rtol: keep adding passes of `samples` until the standard error of the radiant intensity of every band is at
             most rtol times the intensity; None takes one pass. `Image.outcome` says whether it was met.
         max_samples: rays per pixel at which to give up.
+        path: estimator of a gridded plume's radiance along a ray; the exact sum over cells unless asked otherwise.
 
     Returns:
         The image. Memory beyond it is bounded by `TILES_AT_ONCE` tiles of 256 rays.
@@ -116,7 +119,8 @@ def render(
     Raises:
         ValueError: wrong shapes, values out of range, an eye inside the scene, `rtol` inside jit.
 
-    Differentiable, in both modes, in every radiometric leaf of the scene; the geometry is seen as fixed.
+    Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
+    geometry is seen as fixed.
     """
     nodes = as_nodes(bands)
     strata = pixel_strata(samples)
@@ -130,7 +134,9 @@ def render(
     def take(own: Array) -> Image:
         inputs = (optical, camera, own, reflection)
         chunks = _chunks(camera, _chunk_size(camera, scene, reflection))
-        parts = _over_chunks(lambda begin: _chunk(*inputs[:3], begin, strata, reflection), chunks, inputs, "render")
+        parts = _over_chunks(
+            lambda begin: _chunk(*inputs[:3], begin, strata, reflection, path), chunks, inputs, "render"
+        )
         return _image(optical, camera, parts, samples)
 
     if rtol is None:
@@ -205,6 +211,7 @@ def _chunk(
     begin: Int[Array, ""],
     strata: tuple[int, int],
     reflection: Reflection | None,
+    path: AbstractPathEstimator = CellSum(),  # noqa: B008
 ) -> tuple[Float[Array, "tile pixel band"], Float[Array, "tile pixel band"], Float[Array, "_tile _pixel band"]]:
     """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles."""
     size = _chunk_size(camera, optical.scene, reflection)
@@ -216,7 +223,8 @@ def _chunk(
     def sample(drawn: tuple[Array, Array]) -> Array:
         screen = camera.screen(tile, drawn[0]).reshape(-1, 2)
         paths = trace(optical.scene, camera.bundle(screen, start), reflection, drawn[1])
-        seen = optical.nodes.in_band(evaluate(optical, paths, reflection))
+        along = None if isinstance(path, CellSum) else jax.random.fold_in(drawn[1], 1)
+        seen = optical.nodes.in_band(evaluate(optical, paths, reflection, path, along))
         if not uniform:
             empty = optical.nodes.in_band(empty_radiance(optical, paths.rays.direction))
             seen = jnp.concatenate([seen, empty], axis=-1)
@@ -367,7 +375,7 @@ def signature(
     nodes = as_nodes(bands)
     strata = pixel_strata(samples)
     base = jax.random.key(0) if key is None else key
-    extent = scene.extent()
+    extent = lax.stop_gradient(scene.extent())  # a camera follows the outline of a jet but does not belong to it
     cameras = jax.vmap(lambda a: fitted_camera(a[0], a[1], extent, shape, distance))(aspect)
     outside = jax.vmap(lambda camera: _eye_outside(scene, camera).value)(cameras)
     eye = Check("signature: (radius of the scene) / distance", outside, outside < 1, "less than 1: sensors outside it")

@@ -17,6 +17,7 @@ from jaxir.geometry.mesh import closest_hit
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.scene.background import AbstractUniformBackground
+from jaxir.scene.jet import JetPlume
 from jaxir.scene.scene import Scene
 from jaxir.transport.evaluate import empty_radiance, evaluate, radiometry
 from jaxir.transport.march import optical_depth
@@ -242,7 +243,9 @@ def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> _Ra
     meets = jnp.zeros(reach.shape, bool)
     if scene.skin is not None:
         meets = meets | (closest_hit(scene.skin.mesh, bundle).face >= 0)
-    if scene.plume is not None:
+    if isinstance(scene.plume, JetPlume):
+        meets = jnp.ones_like(meets)  # a fit may move the jet anywhere
+    elif scene.plume is not None:
         box = jnp.ones((*scene.plume.grid.shape, 1), reach.dtype)
         meets = meets | (optical_depth(scene.plume.grid, box, rays, reach)[:, 0] > 0)
     pixel = camera.pixel_index(tile)

@@ -113,3 +113,18 @@ def overlap_matrix(
     low = jnp.maximum(lower[:, None], edges[None, :-1])
     high = jnp.minimum(upper[:, None], edges[None, 1:])
     return jnp.maximum(high - low, 0) / (upper - lower)[:, None]
+
+
+def sample_weights(
+    lower: Float[Array, " node"], upper: Float[Array, " node"], wavenumber: Float[Array, " sample"]
+) -> Float[Array, "node sample"]:
+    """Weights of tabulated samples in the mean over each bin of the piecewise linear function through them.
+
+    Exact, sums of positive parts; the bins lie within the table.
+    """
+    start, end = wavenumber[None, :-1], wavenumber[None, 1:]
+    low = jnp.maximum(lower[:, None], start)
+    high = jnp.maximum(jnp.minimum(upper[:, None], end), low)
+    share = (high - low) / (upper - lower)[:, None]
+    place = ((low - start) + (high - start)) / (2 * (end - start))
+    return jnp.pad(share * (1 - place), ((0, 0), (0, 1))) + jnp.pad(share * place, ((0, 0), (1, 0)))

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxir._arrays import as_float, float_dtype
+from jaxir._arrays import Check, as_float, enforce, float_dtype
 
 SECOND_RADIATION = 1.4387768775039337  # c2 = h c / k [cm K], exact since 2019 (CODATA 2018)
 
@@ -192,3 +192,10 @@ def as_nodes(bands: Nodes | Band | Sequence[Band]) -> Nodes:
 def wavelength_to_wavenumber(wavelength: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """Wavenumber [cm-1] of a vacuum wavelength [um]: 1e4 / wavelength."""
     return jnp.asarray(1e4, wavelength.dtype) / wavelength
+
+
+def bins_inside(name: str, nodes: Nodes, ends: Float[Array, " 2"]) -> Nodes:
+    """`nodes`, once every bin lies between the ends of the table of `name` [cm-1]."""
+    slack = 1e-5 * ends
+    covered = (nodes.lower >= ends[0] - slack[0]) & (nodes.upper <= ends[1] + slack[1])
+    return enforce(nodes, [Check("nodes.lower", nodes.lower, covered, f"bins inside the table of {name}")])

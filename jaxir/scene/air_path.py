@@ -7,9 +7,9 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, enforce, finite, fraction, non_negative, positive, require_shape
-from jaxir.optics._tables import COLD_PATH_EDGES
-from jaxir.optics.band import Nodes
+from jaxir._arrays import Check, as_float, finite, fraction, non_negative, positive, require_shape
+from jaxir.optics._tables import COLD_PATH_EDGES, sample_weights
+from jaxir.optics.band import Nodes, bins_inside
 from jaxir.optics.cold_path import PathAir, altitude_along, path_air, path_emission, path_transmittance
 from jaxir.optics.planck import band_radiance
 from jaxir.optics.profile import Profile, us_standard_1976
@@ -59,7 +59,7 @@ class StandardAtmosphere(AbstractAtmosphere):
 
     def transmittance(self, nodes: Nodes) -> Float[Array, " node"]:
         """See `AbstractAtmosphere.transmittance`. Bins must lie within 800-10000 cm-1 (1-12.5 um)."""
-        nodes = _inside("StandardAtmosphere", nodes, as_float(COLD_PATH_EDGES[[0, -1]]))
+        nodes = bins_inside("StandardAtmosphere", nodes, as_float(COLD_PATH_EDGES[[0, -1]]))
         return path_transmittance(self._air(), nodes)
 
     def path_radiance(self, nodes: Nodes) -> Float[Array, " node"]:
@@ -118,14 +118,9 @@ class TableAtmosphere(AbstractAtmosphere):
         require_shape("TableAtmosphere.spectral_path_radiance", self.table_radiance, self.wavenumber.shape)
 
     def _mean(self, nodes: Nodes, value: Float[Array, " sample"]) -> Float[Array, " node"]:
-        """Mean over each bin of the piecewise linear `value`: exact, a sum of positive parts."""
-        nodes = _inside("TableAtmosphere", nodes, self.wavenumber[jnp.array([0, -1])])
-        start, end = self.wavenumber[None, :-1], self.wavenumber[None, 1:]
-        low = jnp.maximum(nodes.lower[:, None], start)
-        high = jnp.maximum(jnp.minimum(nodes.upper[:, None], end), low)
-        share = (high - low) / (nodes.upper - nodes.lower)[:, None]
-        place = ((low - start) + (high - start)) / (2 * (end - start))
-        return (share * (1 - place)) @ value[:-1] + (share * place) @ value[1:]
+        """Mean over each bin of the piecewise linear `value`."""
+        nodes = bins_inside("TableAtmosphere", nodes, self.wavenumber[jnp.array([0, -1])])
+        return sample_weights(nodes.lower, nodes.upper, self.wavenumber) @ value
 
     def transmittance(self, nodes: Nodes) -> Float[Array, " node"]:
         """See `AbstractAtmosphere.transmittance`. Bins must lie within the table."""
@@ -191,10 +186,3 @@ class UniformAtmosphere(AbstractAtmosphere):
         if self.temperature is not None:
             checks.append(positive("UniformAtmosphere.temperature", self.temperature))
         return checks
-
-
-def _inside(name: str, nodes: Nodes, ends: Float[Array, " 2"]) -> Nodes:
-    """`nodes`, once every bin lies between the table's ends [cm-1]."""
-    slack = 1e-5 * ends
-    covered = (nodes.lower >= ends[0] - slack[0]) & (nodes.upper <= ends[1] + slack[1])
-    return enforce(nodes, [Check("nodes.lower", nodes.lower, covered, f"bins inside the table of {name}")])

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check
 from jaxir.scene.atmosphere import AbstractAtmosphere
 from jaxir.scene.background import AbstractBackground
+from jaxir.scene.jet import JetPlume
 from jaxir.scene.near_source import AbstractAreaSource
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.skin import Skin
@@ -32,7 +33,7 @@ class Scene(eqx.Module):
     """
 
     skin: Skin | None = None
-    plume: GridPlume | None = None
+    plume: GridPlume | JetPlume | None = None
     sources: tuple[AbstractDeltaSource | AbstractAreaSource, ...] = ()
     background: AbstractBackground | None = None
     atmosphere: AbstractAtmosphere | None = None
@@ -52,10 +53,10 @@ class Scene(eqx.Module):
         return tuple(source for source in self.sources if isinstance(source, AbstractAreaSource))
 
     def extent(self) -> Float[Array, "corner 3"]:
-        """Points whose convex hull holds skin and plume [corner, 3] [m]: mesh vertices and corners of the grid."""
+        """Points whose convex hull holds skin and plume [corner, 3] [m]: mesh vertices and corners of the plume."""
         points = [] if self.skin is None else [self.skin.mesh.vertices]
         if self.plume is not None:
-            points.append(self.plume.grid.corners())
+            points.append(self.plume.extent())
         return jnp.concatenate(points)
 
     def radius(self, centre: Float[Array, " 3"]) -> Float[Array, ""]:

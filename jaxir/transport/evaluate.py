@@ -6,20 +6,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
 from jaxir._vector import dot
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import Nodes
 from jaxir.optics.planck import band_radiance
 from jaxir.scene.background import AbstractUniformBackground
+from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import per_node
 from jaxir.transport.around import Around, Vertex
 from jaxir.transport.closed_form import closed_form
-from jaxir.transport.crossing_sum import crossing_sum
+from jaxir.transport.jet import JetMedium, jet_medium
 from jaxir.transport.lights import light_radiance
-from jaxir.transport.march import march, transmittance
+from jaxir.transport.medium import GridMedium, grid_medium
+from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import Chain, Paths
 from jaxir.transport.reflection import ClosedForm, Reflection, reflection_of
 
@@ -31,8 +33,7 @@ class Radiometry(eqx.Module):
         scene: the scene.
         nodes: the spectral axis.
         skin_source: blackbody radiance of each face [face, node] [W m-2 sr-1].
-        extinction: of each cell [nx, ny, nz, node] [m-1].
-        emission: absorption times blackbody radiance of each cell [nx, ny, nz, node] [W m-3 sr-1].
+        medium: the plume.
         background: where it is uniform [node] [W m-2 sr-1].
         transmittance: of the atmosphere [node].
         path_radiance: of the atmosphere [node] [W m-2 sr-1].
@@ -43,8 +44,7 @@ class Radiometry(eqx.Module):
     scene: Scene
     nodes: Nodes
     skin_source: Float[Array, "face node"] | None
-    extinction: Float[Array, "nx ny nz node"] | None
-    emission: Float[Array, "nx ny nz node"] | None
+    medium: GridMedium | JetMedium | None
     background: Float[Array, " node"] | None
     transmittance: Float[Array, " node"] | None
     path_radiance: Float[Array, " node"] | None
@@ -53,23 +53,27 @@ class Radiometry(eqx.Module):
 def radiometry(scene: Scene, nodes: Nodes) -> Radiometry:
     """Evaluate temperatures, gas and lights on the nodes. Differentiable in every radiometric leaf of the scene."""
     skin, plume, background, air = scene.skin, scene.plume, scene.background, scene.atmosphere
-    extinction = emission = None
+    medium: GridMedium | JetMedium | None = None
     if plume is not None:
-        extinction = plume.gas.absorption(nodes, plume.temperature)
-        emission = extinction * band_radiance(plume.temperature, nodes)
+        medium = grid_medium(plume, nodes) if isinstance(plume, GridPlume) else jet_medium(plume, nodes)
     return Radiometry(
         scene=scene,
         nodes=nodes,
         skin_source=None if skin is None else band_radiance(skin.temperature, nodes),
-        extinction=extinction,
-        emission=emission,
+        medium=medium,
         background=background.level(nodes) if isinstance(background, AbstractUniformBackground) else None,
         transmittance=None if air is None else air.transmittance(nodes),
         path_radiance=None if air is None else air.path_radiance(nodes),
     )
 
 
-def evaluate(optical: Radiometry, paths: Paths, reflection: Reflection | None = None) -> Float[Array, "ray node"]:
+def evaluate(
+    optical: Radiometry,
+    paths: Paths,
+    reflection: Reflection | None = None,
+    path: AbstractPathEstimator = CellSum(),  # noqa: B008
+    key: Key[Array, ""] | None = None,
+) -> Float[Array, "ray node"]:
     """Radiance at the entrance pupil along each path, equations (2) and (3) with (4) and (5) in front.
 
         L = atmosphere's transmittance * [plume in front of (skin, or background where no skin is met)] + path radiance
@@ -78,12 +82,18 @@ def evaluate(optical: Radiometry, paths: Paths, reflection: Reflection | None = 
         optical: the scene on the nodes, `radiometry(scene, nodes)`.
         paths: `trace(scene, rays, reflection, key)`.
         reflection: what the paths were traced with.
+        path: how the radiance of a gridded plume in front of the eye is estimated; its type decides what is compiled.
+        key: random key, which every estimator but `CellSum` needs.
 
     Returns:
         Radiance [ray, node] [W m-2 sr-1], integrated over each node's bin.
 
+    Raises:
+        ValueError: an estimator that samples, without a key or without a gridded plume.
+
     Differentiable, in both modes, in every radiometric leaf of the scene, without bias: directions keep the density
-    with which they were drawn and the brdf in front of it carries the derivative. Not in the scene's geometry.
+    with which they were drawn and the brdf in front of it carries the derivative. Not in the scene's geometry,
+    but for the place and shape of a jet.
     """
     reflection = reflection_of(optical.scene, reflection)
     radiance = _background(optical, paths.rays.direction)
@@ -94,14 +104,13 @@ def evaluate(optical: Radiometry, paths: Paths, reflection: Reflection | None = 
                 optical, paths.vertex(), reflection
             )
         radiance = jnp.where((paths.hit.face >= 0)[:, None], skin, radiance)
-    if paths.crossings is None:
-        return through_air(optical, _through_plume(optical, paths.rays, paths.length, radiance))
-    assert optical.extinction is not None and optical.emission is not None
-    cells = (-1, optical.nodes.count)
-    radiance = crossing_sum(
-        paths.crossings, optical.extinction.reshape(cells), optical.emission.reshape(cells), radiance
-    )
-    return through_air(optical, radiance)
+    if not isinstance(path, CellSum):
+        if key is None or not isinstance(optical.medium, GridMedium):
+            raise ValueError(f"path: got {type(path).__name__}, expected a random key and a gridded plume with it")
+        return through_air(optical, optical.medium.sampled_leg(path, paths.rays, paths.length, radiance, key))
+    if isinstance(optical.medium, GridMedium) and paths.crossings is not None:
+        return through_air(optical, optical.medium.listed_leg(paths.crossings, radiance))
+    return through_air(optical, _through_plume(optical, paths.rays, paths.length, radiance))
 
 
 def through_air(optical: Radiometry, radiance: Float[Array, "*batch node"]) -> Float[Array, "*batch node"]:
@@ -132,19 +141,15 @@ def _background(optical: Radiometry, direction: Array) -> Array:
 
 def _through_plume(optical: Radiometry, rays: Rays, length: Array, behind: Array) -> Array:
     """Radiance at the origins of rays that end after `length` [ray], where `behind` [ray, node] enters them."""
-    plume = optical.scene.plume
-    if plume is None or optical.extinction is None or optical.emission is None:
-        return behind
-    return march(plume.grid, optical.extinction, optical.emission, rays, length, behind)
+    return behind if optical.medium is None else optical.medium.leg(rays, length, behind)
 
 
 def _plume_transmittance(optical: Radiometry, point: Array, omega: Array, length: Array) -> Array | float:
     """Transmittance [*batch, node] from points along unit vectors [*batch, 3] for `length` [*batch]."""
-    plume = optical.scene.plume
-    if plume is None or optical.extinction is None:
+    if optical.medium is None:
         return 1.0
     rays = Rays(point.reshape(-1, 3), omega.reshape(-1, 3))
-    passed = transmittance(plume.grid, optical.extinction, rays, length.reshape(-1))
+    passed = optical.medium.transmittance(rays, length.reshape(-1))
     return passed.reshape(length.shape + (optical.nodes.count,))
 
 

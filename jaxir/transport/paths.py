@@ -14,6 +14,7 @@ from jaxir.geometry.shadow import occluded, occluded_from
 from jaxir.geometry.triangle import Hit
 from jaxir.geometry.walk import Crossings, crossings
 from jaxir.scene.near_source import PointSource
+from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import AbstractDeltaSource, ParallelSource
 from jaxir.transport.around import Around, Leg, Vertex, look_around
@@ -43,8 +44,8 @@ class Paths(eqx.Module):
         normal: unit normal on the side the ray came from [ray, 3], minus the ray's direction where the skin is not
             met; None without skin.
         lit: whether the skin at the hit sees each delta source [source, ray]; None without skin or such sources.
-        crossings: cells of the plume crossed in front of the skin; None without a plume, or where the walk is
-            repeated at every evaluation instead of stored.
+        crossings: cells of the plume crossed in front of the skin; None without a gridded plume, or where the
+            walk is repeated at every evaluation instead of stored.
         around: lights sampled at the hit; None where nothing is sampled.
         chain: bounces; None without.
     """
@@ -160,11 +161,11 @@ def _bounce(scene: Scene, reflection: Reflection, first: Vertex, key: Array) -> 
 
 
 def store_crossings(scene: Scene, paths: Paths) -> Paths:
-    """Paths with the crossed cells stored, so that evaluations need not walk the grid again.
+    """Paths with the crossed cells of a gridded plume stored, so that evaluations need not walk the grid again.
 
     Worth its memory when the same paths are evaluated many times, as in a fit.
     """
-    if scene.plume is None:
+    if not isinstance(scene.plume, GridPlume):
         return paths
     grid = lax.stop_gradient(scene.plume.grid)
     return eqx.tree_at(

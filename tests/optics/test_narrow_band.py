@@ -84,31 +84,33 @@ def test_total_emissivity_of_leckner(species, temperature, reference, missing):
 
 
 @pytest.mark.parametrize(
-    ("temperature", "swir", "lwir"), [(1500.0, 1973.0, 203.0), (1000.0, 332.0, 49.0), (600.0, 8.9, 4.0)]
+    ("temperature", "reference"),
+    [(1500.0, (1973.0, 3841.0, 203.0)), (1000.0, (332.0, 933.0, 49.0)), (600.0, (8.9, 71.0, 4.0))],
 )
-def test_plume_like_radiance(temperature, swir, lwir):
-    # SP-3080's own curve of growth with its Doppler rule, at 1 m and 0.3 atm.
-    nodes = resolved_nodes([SWIR, LWIR])
+def test_plume_like_radiance(temperature, reference):
+    # SP-3080's own curve of growth with its Doppler rule, at 1 m and 0.3 atm, lies above Malkmus'.
+    nodes = resolved_nodes([SWIR, MWIR, LWIR])
     got = radiance(NarrowBandGas(0.3 * ATMOSPHERE, **PRODUCTS), temperature, 1.0, nodes)
-    assert np.asarray(got) == pytest.approx(np.array([swir, lwir]), rel=0.045)
+    ratio = np.asarray(got) / np.array(reference)
+    assert np.all((ratio > 0.88) & (ratio < 1.0))
 
 
-@pytest.mark.parametrize("pressure", [0.1, 0.3, 1.0])
+@pytest.mark.parametrize(("pressure", "low", "high"), [(0.1, -0.05, 0.06), (0.3, -0.07, 0.01), (1.0, -0.08, 0.04)])
 @pytest.mark.parametrize("temperature", [1000.0, 1500.0])
-def test_co2_at_4_3_um_line_by_line(pressure, temperature, co2_lines, x64):
-    amount, path = 0.0630, 0.3
-    air = {"o2": PRODUCTS["o2"]}
-    gas = NarrowBandGas(pressure * ATMOSPHERE, co2=amount, **air)
+def test_co2_at_4_3_um_line_by_line(pressure, low, high, temperature, co2_lines, x64):
+    amount = 0.0630
+    gas = NarrowBandGas(pressure * ATMOSPHERE, co2=amount, o2=PRODUCTS["o2"])
     width = float(gas._lorentz("CO2", jnp.asarray(pressure), jnp.asarray(temperature)))
     wavenumber, kappa = co2_lines(temperature, pressure * amount, width)
-    nodes = resolved_nodes(Band("4.3", 1e4 / 2400, 1e4 / 2000))
-    exact = 0.0
-    for low in np.unique(nodes.lower):
-        inside = (wavenumber >= low) & (wavenumber < low + 50)
-        one = single_bin(float(low) + 25, points=1)
-        exact += float(band_radiance(jnp.asarray(temperature), one)[0]) * np.mean(-np.expm1(-path * kappa[inside]))
-    got = float(radiance(gas, temperature, path, nodes)[0])
-    assert got == pytest.approx(exact, rel=0.08)
+    band = Band("4.3", 1e4 / 2400, 1e4 / 2000)
+    nodes, bins = resolved_nodes(band), resolved_nodes(band, points=1)
+    planck = np.asarray(band_radiance(jnp.asarray(temperature), bins))
+    for path in (0.03, 0.3, 1.0):
+        absorbed = [
+            -np.expm1(-path * kappa[(wavenumber >= start) & (wavenumber < start + 50)]).mean() for start in bins.lower
+        ]
+        got = float(radiance(gas, temperature, path, nodes)[0])
+        assert low < got / float(planck @ np.array(absorbed)) - 1 < high
 
 
 def test_pairs_of_quantiles_let_two_gases_overlap_at_random():

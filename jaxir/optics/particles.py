@@ -1,0 +1,213 @@
+"""Particles in a gas: extinction, albedo and phase function per node.
+
+A plume with particles has, in a cell, extinction = absorption of the gas + extinction of the particles, scattering =
+albedo * extinction of the particles, and the particles' phase function.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, fraction, non_negative, positive, require_shape
+from jaxir.optics._tables import sample_weights
+from jaxir.optics.band import Nodes, bins_inside
+from jaxir.optics.phase import AbstractPhase, TabulatedPhase, cosine_checks
+
+
+class ParticleOptics(eqx.Module):
+    """Particles on spectral nodes.
+
+    Attributes:
+        extinction: [*cell, node] [m-1].
+        albedo: share of the extinction that is scattering [node].
+        phase: phase function.
+    """
+
+    extinction: Float[Array, "*cell node"]
+    albedo: Float[Array, " node"]
+    phase: AbstractPhase
+
+
+class AbstractParticles(eqx.Module):
+    """Particles of one kind, more or fewer of them in each cell."""
+
+    @abc.abstractmethod
+    def optics(self, nodes: Nodes) -> ParticleOptics:
+        """Extinction, albedo and phase function on `nodes`."""
+
+    @abc.abstractmethod
+    def checks(self) -> list[Check]:
+        """What must hold of the fields' values."""
+
+
+class GrayParticles(AbstractParticles):
+    """Particles whose extinction and albedo are given.
+
+    Attributes:
+        extinction: [*cell, node or 1] [m-1].
+        albedo: [node or 1].
+        phase: phase function.
+
+    Differentiable in all.
+    """
+
+    extinction: Float[Array, "*cell node"]
+    albedo: Float[Array, " node"]
+    phase: AbstractPhase
+
+    def __init__(self, extinction: Any, albedo: Any, phase: AbstractPhase):
+        """Convert; a number of `extinction` is the same in every cell and node."""
+        value, share = as_float(extinction, "GrayParticles.extinction"), as_float(albedo, "GrayParticles.albedo")
+        self.extinction = value[None] if value.ndim == 0 else value
+        self.albedo = share[None] if share.ndim == 0 else share
+        require_shape("GrayParticles.albedo", self.albedo, ("node",))
+        self.phase = phase
+
+    def optics(self, nodes: Nodes) -> ParticleOptics:
+        """See `AbstractParticles.optics`."""
+        for field, value in (("extinction", self.extinction), ("albedo", self.albedo)):
+            if value.shape[-1] not in (1, nodes.count):
+                raise ValueError(f"GrayParticles.{field}: got {value.shape[-1]} nodes, expected {nodes.count} or 1")
+        extinction = jnp.broadcast_to(self.extinction, self.extinction.shape[:-1] + (nodes.count,))
+        return ParticleOptics(extinction, jnp.broadcast_to(self.albedo, (nodes.count,)), self.phase)
+
+    def checks(self) -> list[Check]:
+        """Extinction is >= 0, the albedo lies in [0, 1]."""
+        return [
+            non_negative("GrayParticles.extinction", self.extinction),
+            fraction("GrayParticles.albedo", self.albedo),
+            *self.phase.checks(),
+        ]
+
+
+class ParticleTable(eqx.Module):
+    """Optical properties of one (mean) particle over wavenumber, linear between samples; `jaxir.optics.mie` makes it.
+
+    Attributes:
+        wavenumber: increasing [sample] [cm-1].
+        extinction: cross-section [sample] [m2].
+        scattering: cross-section [sample] [m2].
+        volume: mean volume of a particle [m3].
+        cosine: of the scattering angle, increasing from -1 to 1 [angle].
+        phase: phase function [sample, angle] [sr-1].
+
+    Differentiable in every field but `wavenumber` and `cosine`.
+    """
+
+    wavenumber: Float[Array, " sample"]
+    extinction: Float[Array, " sample"]
+    scattering: Float[Array, " sample"]
+    volume: Float[Array, ""]
+    cosine: Float[Array, " angle"]
+    phase: Float[Array, "sample angle"]
+
+    def __init__(self, wavenumber: Any, extinction: Any, scattering: Any, volume: Any, cosine: Any, phase: Any):
+        for name, value in (
+            ("wavenumber", wavenumber),
+            ("extinction", extinction),
+            ("scattering", scattering),
+            ("volume", volume),
+            ("cosine", cosine),
+            ("phase", phase),
+        ):
+            setattr(self, name, as_float(value, f"ParticleTable.{name}"))
+        require_shape("ParticleTable.wavenumber", self.wavenumber, ("sample",))
+        if self.wavenumber.shape[0] < 2:
+            raise ValueError("ParticleTable.wavenumber: got one sample, expected at least two")
+        for name in ("extinction", "scattering"):
+            require_shape(f"ParticleTable.{name}", getattr(self, name), self.wavenumber.shape)
+        require_shape("ParticleTable.volume", self.volume, ())
+        require_shape("ParticleTable.cosine", self.cosine, ("angle",))
+        require_shape("ParticleTable.phase", self.phase, self.wavenumber.shape + self.cosine.shape)
+
+    def checks(self) -> list[Check]:
+        """Wavenumbers and cosines increase, 0 <= scattering <= extinction, the phase function is >= 0."""
+        rising = jnp.concatenate([jnp.ones(1, bool), jnp.diff(self.wavenumber) > 0])
+        within = self.scattering <= self.extinction * (1 + 1e-5)
+        return [
+            positive("ParticleTable.wavenumber", self.wavenumber),
+            Check("ParticleTable.wavenumber", self.wavenumber, rising, "increasing wavenumbers"),
+            positive("ParticleTable.extinction", self.extinction),
+            non_negative("ParticleTable.scattering", self.scattering),
+            Check("ParticleTable.scattering", self.scattering, within, "at most the extinction"),
+            positive("ParticleTable.volume", self.volume),
+            *cosine_checks("ParticleTable.cosine", self.cosine),
+            non_negative("ParticleTable.phase", self.phase),
+        ]
+
+
+class Particles(AbstractParticles):
+    """Particles with tabulated optics.
+
+    The properties of a node are means over the node's bin: of the cross-sections, and of the phase function weighted
+    with the scattering cross-section. The table must be fine enough for the ripple of its spectrum: some ten samples
+    per bin for particles of one size, few for a distribution of sizes.
+
+    Attributes:
+        number_density: [*cell] [m-3]; see `number_density`.
+        table: optics of a particle.
+
+    Differentiable in `number_density` and in the table's cross-sections and phase function.
+    """
+
+    number_density: Float[Array, "*cell"]
+    table: ParticleTable
+
+    def __init__(self, number_density: Any, table: ParticleTable):
+        self.number_density = as_float(number_density, "Particles.number_density")
+        self.table = table
+
+    def optics(self, nodes: Nodes) -> ParticleOptics:
+        """See `AbstractParticles.optics`. Bins must lie within the table.
+
+        Raises:
+            ValueError: a bin outside the table (RuntimeError where bins are known only at run time).
+        """
+        table = self.table
+        nodes = bins_inside("Particles", nodes, table.wavenumber[jnp.array([0, -1])])
+        weight = sample_weights(nodes.lower, nodes.upper, table.wavenumber)
+        # Cross-sections of 1e-10 m2 and the phase peak stay far from the limits of float32 in units of their mean.
+        unit = jnp.mean(table.extinction)
+        extinction, scattering = weight @ (table.extinction / unit), weight @ (table.scattering / unit)
+        phase = weight @ (table.scattering[:, None] / unit * table.phase)
+        spread = (self.number_density * unit)[..., None] * extinction.reshape((1,) * self.number_density.ndim + (-1,))
+        return ParticleOptics(spread, scattering / extinction, TabulatedPhase(table.cosine, phase))
+
+    def checks(self) -> list[Check]:
+        """The number density is >= 0, the table's values in range."""
+        return [non_negative("Particles.number_density", self.number_density), *self.table.checks()]
+
+
+def number_density(
+    mass_flow: Any, material_density: Any, speed: Any, cross_section: Any, volume: Any
+) -> Float[Array, "*batch"]:
+    """Particles per volume of a stream, mass_flow / (material_density * volume * speed * cross_section).
+
+    Args:
+        mass_flow: of particles [kg/s].
+        material_density: of the particles' substance [kg/m3].
+        speed: of the stream [m/s].
+        cross_section: of the stream [m2].
+        volume: mean volume of a particle [m3], `ParticleTable.volume`.
+
+    Returns:
+        Number density [m-3].
+
+    Differentiable in all.
+    """
+    flow, density, speed, area, volume = (
+        as_float(value, name)
+        for name, value in (
+            ("mass_flow", mass_flow),
+            ("material_density", material_density),
+            ("speed", speed),
+            ("cross_section", cross_section),
+            ("volume", volume),
+        )
+    )
+    return flow / (density * speed * area) / volume

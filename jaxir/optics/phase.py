@@ -1,0 +1,185 @@
+"""Phase functions: how a scattering event spreads light over the angle between the old and the new direction.
+
+`cosine` is that of the scattering angle, 1 for light that goes straight on. A phase function has the unit sr-1 and
+integrates to 1 over the sphere; the azimuth about the old direction is uniform. Leaves are [node | 1, ...]; one
+direction is sampled for all nodes, from the mean of their phase functions, so that eval / pdf stays at most the number
+of nodes.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, non_negative, positive, require_shape
+
+
+class AbstractPhase(eqx.Module):
+    """A phase function [sr-1] with its sampler."""
+
+    @abc.abstractmethod
+    def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
+        """The phase function [node | 1] [sr-1]. Differentiable in parameters and cosine."""
+
+    @abc.abstractmethod
+    def sample(self, u: Float[Array, ""]) -> Float[Array, ""]:
+        """A cosine from a uniform number in [0, 1). Not to be differentiated."""
+
+    @abc.abstractmethod
+    def pdf(self, cosine: Float[Array, ""]) -> Float[Array, ""]:
+        """Density [sr-1] of the direction with the cosine that `sample` returns and a uniform azimuth."""
+
+    @abc.abstractmethod
+    def checks(self) -> list[Check]:
+        """What must hold of the parameters' values."""
+
+
+class Isotropic(AbstractPhase):
+    """Equal scattering into all directions: 1 / 4 pi."""
+
+    def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractPhase.eval`."""
+        return jnp.full((1,), 1 / (4 * jnp.pi), cosine.dtype)
+
+    def sample(self, u: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPhase.sample`."""
+        return 2 * u - 1
+
+    def pdf(self, cosine: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPhase.pdf`."""
+        return jnp.full_like(cosine, 1 / (4 * jnp.pi))
+
+    def checks(self) -> list[Check]:
+        """Nothing to check."""
+        return []
+
+
+class HenyeyGreenstein(AbstractPhase):
+    """Henyey and Greenstein's phase function (1941), (1 - a^2) / (4 pi (1 + a^2 - 2 a cosine)^(3/2)).
+
+    For particles as large as the wavelength it is wrong by factors of 5-27 in backscatter: use `TabulatedPhase`.
+
+    Attributes:
+        asymmetry: mean cosine a [node or 1], -1 < a < 1.
+
+    Differentiable in `asymmetry`.
+    """
+
+    asymmetry: Float[Array, " node"]
+
+    def __init__(self, asymmetry: Any):
+        value = as_float(asymmetry, "HenyeyGreenstein.asymmetry")
+        self.asymmetry = value[None] if value.ndim == 0 else value
+        require_shape("HenyeyGreenstein.asymmetry", self.asymmetry, ("node",))
+
+    def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractPhase.eval`."""
+        a = self.asymmetry
+        # (1 - a)^2 + 2 a (1 - cosine): no cancellation in the forward peak
+        square = (1 - jnp.abs(a)) ** 2 + 2 * jnp.abs(a) * (1 - jnp.sign(a) * cosine)
+        return (1 - a) * (1 + a) / (4 * jnp.pi * square * jnp.sqrt(square))
+
+    def sample(self, u: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPhase.sample`: one node is drawn, then its distribution function is inverted."""
+        count = self.asymmetry.shape[0]
+        chosen = jnp.minimum((u * count).astype(jnp.int32), count - 1)
+        rest = jnp.clip(u * count - chosen.astype(u.dtype), 0, 1)
+        a = self.asymmetry[chosen]
+        s = 2 * rest - 1
+        # (1 + a^2 - ((1 - a^2) / (1 + a s))^2) / 2a, multiplied out: a cancels and may be 0.
+        return jnp.clip((s + a * (1.5 + s * s / 2) + a * a * s + a**3 * (s * s - 1) / 2) / (1 + a * s) ** 2, -1, 1)
+
+    def pdf(self, cosine: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPhase.pdf`."""
+        return jnp.mean(self.eval(cosine))
+
+    def checks(self) -> list[Check]:
+        """The asymmetry lies inside (-1, 1)."""
+        inside = jnp.abs(self.asymmetry) < 1
+        return [Check("HenyeyGreenstein.asymmetry", self.asymmetry, inside, "values inside (-1, 1)")]
+
+
+class TabulatedPhase(AbstractPhase):
+    """A phase function tabulated over the cosine, linear between samples and normalised.
+
+    Attributes:
+        cosine: increasing from -1 to 1 [angle]; crowd samples in the forward peak, e.g. equal steps of the angle.
+        value: phase function [node or 1, angle] [sr-1], scaled to integrate to 1 over the sphere.
+
+    Differentiable in `value`.
+    """
+
+    cosine: Float[Array, " angle"]
+    value: Float[Array, "node angle"]
+
+    def __init__(self, cosine: Any, value: Any):
+        """Convert and normalise; `value` is [angle] or [node or 1, angle], in any unit."""
+        self.cosine = as_float(cosine, "TabulatedPhase.cosine")
+        require_shape("TabulatedPhase.cosine", self.cosine, ("angle",))
+        if self.cosine.shape[0] < 2:
+            raise ValueError("TabulatedPhase.cosine: got one sample, expected at least two")
+        given = as_float(value, "TabulatedPhase.value")
+        given = given[None] if given.ndim == 1 else given
+        require_shape("TabulatedPhase.value", given, ("node", self.cosine.shape[0]))
+        self.value = given / (2 * jnp.pi * jnp.sum(_pieces(self.cosine, given), axis=-1, keepdims=True))
+
+    def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractPhase.eval`."""
+        below, share = self._place(cosine)
+        return self.value[:, below] * (1 - share) + self.value[:, below + 1] * share
+
+    def sample(self, u: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPhase.sample`: the distribution function, quadratic between samples, is inverted exactly."""
+        mean = jnp.mean(self.value, axis=0)
+        pieces = _pieces(self.cosine, mean)
+        upto = jnp.concatenate([jnp.zeros_like(pieces[:1]), jnp.cumsum(pieces)])
+        target = u * upto[-1]
+        below = jnp.clip(jnp.searchsorted(upto, target, side="right") - 1, 0, pieces.shape[0] - 1).astype(jnp.int32)
+        low, high = mean[below], mean[below + 1]
+        piece = pieces[below]
+        rest = jnp.clip((target - upto[below]) / jnp.where(piece > 0, piece, 1), 0, 1)
+        # low t + (high - low) t^2 / 2 = rest (low + high) / 2, by the root without cancellation
+        root = jnp.sqrt(low * low + rest * (high - low) * (high + low))
+        t = rest * (low + high) / jnp.where(low + root > 0, low + root, 1)
+        return self.cosine[below] + (self.cosine[below + 1] - self.cosine[below]) * jnp.clip(t, 0, 1)
+
+    def pdf(self, cosine: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractPhase.pdf`."""
+        return jnp.mean(self.eval(cosine))
+
+    def _place(self, cosine: Float[Array, ""]) -> tuple[Array, Array]:
+        last = self.cosine.shape[0] - 2
+        below = jnp.clip(jnp.searchsorted(self.cosine, cosine, side="right") - 1, 0, last).astype(jnp.int32)
+        share = (cosine - self.cosine[below]) / (self.cosine[below + 1] - self.cosine[below])
+        return below, jnp.clip(share, 0, 1)
+
+    def checks(self) -> list[Check]:
+        """Cosines increase from -1 to 1; values are >= 0 and not all 0."""
+        return [*cosine_checks("TabulatedPhase.cosine", self.cosine), *self._value_checks()]
+
+    def _value_checks(self) -> list[Check]:
+        whole = jnp.sum(self.value, axis=-1)
+        return [
+            positive("TabulatedPhase.value: sum over angles", whole),
+            non_negative("TabulatedPhase.value", self.value),
+        ]
+
+
+def cosine_checks(field: str, cosine: Float[Array, " angle"]) -> list[Check]:
+    """Cosines of a table increase from -1 to 1."""
+    rising = jnp.concatenate([jnp.ones(1, bool), jnp.diff(cosine) > 0])
+    ends = jnp.abs(cosine[jnp.array([0, -1])] - jnp.array([-1, 1], cosine.dtype)) < 1e-6
+    return [
+        Check(field, cosine, rising, "increasing cosines"),
+        Check(f"{field}: ends", cosine[jnp.array([0, -1])], ends, "cosines from -1 to 1"),
+    ]
+
+
+def _pieces(cosine: Float[Array, " angle"], value: Float[Array, "*batch angle"]) -> Float[Array, "*batch piece"]:
+    """Integrals of `value` over the cosine between neighbouring samples."""
+    mean = (value[..., 1:] + value[..., :-1]) / 2
+    return mean * jnp.diff(cosine).reshape((1,) * (value.ndim - 1) + (-1,))

@@ -1,0 +1,76 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from jaxir._arrays import enforce
+from jaxir.optics.phase import HenyeyGreenstein, Isotropic, TabulatedPhase
+
+ANGLE = np.linspace(np.pi, 0, 181)
+PHASES = {
+    "isotropic": lambda: Isotropic(),
+    "forward": lambda: HenyeyGreenstein([0.8, 0.3]),
+    "backward": lambda: HenyeyGreenstein(-0.5),
+    "none": lambda: HenyeyGreenstein(0.0),
+    "table": lambda: TabulatedPhase(np.cos(ANGLE), np.stack([1 + np.cos(ANGLE) ** 2, np.exp(3 * np.cos(ANGLE))])),
+    "table with zeros": lambda: TabulatedPhase([-1.0, -0.5, 0.0, 0.5, 1.0], [0.0, 0.0, 1.0, 0.0, 2.0]),
+}
+
+
+@pytest.fixture(params=PHASES)
+def phase(request):
+    return PHASES[request.param]()
+
+
+def test_integrates_to_one_and_samples_follow_the_density(phase):
+    edges = np.linspace(-1, 1, 41)
+    middle = (np.linspace(-1, 1, 4001)[1:] + np.linspace(-1, 1, 4001)[:-1]) / 2
+    value = np.asarray(jax.vmap(phase.eval)(jnp.asarray(middle, np.float32)))
+    assert np.allclose(2 * np.pi * value.mean(axis=0) * 2, 1, rtol=2e-3)
+    density = np.asarray(jax.vmap(phase.pdf)(jnp.asarray(middle, np.float32)))
+    assert np.allclose(density, value.mean(axis=1), rtol=1e-5, atol=1e-7)
+    count = 20000
+    u = jnp.asarray((np.arange(count) + np.random.default_rng(1).random(count)) / count, np.float32)
+    drawn = np.asarray(jax.vmap(phase.sample)(u))
+    assert drawn.min() >= -1 and drawn.max() <= 1
+    expected = 2 * np.pi * density.reshape(40, -1).mean(axis=1) * 0.05 * count
+    found = np.histogram(drawn, edges)[0]
+    held = expected > 5
+    assert found[~held].sum() < 30
+    # stratified numbers scatter less than independent ones
+    assert np.sum((found - expected)[held] ** 2 / expected[held]) < chi2.ppf(0.999, held.sum())
+
+
+def test_mean_cosine_of_henyey_and_greenstein():
+    point, weight = np.polynomial.legendre.leggauss(200)
+    phase = HenyeyGreenstein([0.7, -0.2])
+    value = np.asarray(jax.vmap(phase.eval)(jnp.asarray(point, np.float32)))
+    assert np.allclose(2 * np.pi * (weight * point) @ value, [0.7, -0.2], atol=1e-4)
+
+
+def test_extreme_values_and_gradients_are_finite(phase, precision):
+    phase = jax.tree.map(lambda leaf: leaf.astype(precision), phase)
+    slopes = jax.jit(jax.vmap(jax.grad(lambda p, at: p.eval(at).sum(), argnums=(0, 1)), in_axes=(None, 0)))
+    for leaf in jax.tree.leaves(slopes(phase, jnp.asarray([-1.0, 0.0, 1.0], precision))):
+        assert bool(jnp.isfinite(leaf).all())
+    for u in (0.0, 0.5, 1 - 6e-8):
+        assert abs(float(phase.sample(jnp.asarray(u, precision)))) <= 1
+
+
+@pytest.mark.parametrize(
+    ("make", "what"),
+    [
+        (lambda: TabulatedPhase([-1.0, 1.0], [[1.0, 2.0, 3.0]]), "got shape"),
+        (lambda: TabulatedPhase([1.0], [1.0]), "at least two"),
+        (lambda: TabulatedPhase([-1.0, 0.5, 0.2, 1.0], np.ones(4)), "increasing cosines"),
+        (lambda: TabulatedPhase([-1.0, 0.0, 0.9], np.ones(3)), "from -1 to 1"),
+        (lambda: TabulatedPhase([-1.0, 0.0, 1.0], [1.0, -0.1, 1.0]), ">= 0"),
+        (lambda: TabulatedPhase([-1.0, 1.0], [0.0, 0.0]), "> 0"),
+        (lambda: HenyeyGreenstein(1.0), "inside"),
+        (lambda: HenyeyGreenstein([[0.1]]), "got shape"),
+    ],
+)
+def test_bad_tables_are_refused(make, what):
+    with pytest.raises(ValueError, match=what):
+        enforce(jnp.zeros(1), make().checks())
