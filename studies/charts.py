@@ -11,6 +11,13 @@ import matplotlib.pyplot as plt  # noqa: E402
 from jaxir.render import Image, Signature  # noqa: E402
 
 
+def out_folder(study: str) -> Path:
+    """Where a study writes: studies/out/NAME."""
+    folder = Path(__file__).parent / "out" / study
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def radiance_panels(path: Path, images: dict[str, Image]) -> None:
     """One row per image, one column per band, each band on one scale, colour bar in W m-2 sr-1."""
     bands = next(iter(images.values())).bands

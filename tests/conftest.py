@@ -23,3 +23,10 @@ def x64():
     """Run the test in double precision."""
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def bounded_memory():
+    """Drop compiled programs between files: hundreds of them would hold gigabytes."""
+    yield
+    jax.clear_caches()

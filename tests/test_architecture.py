@@ -90,6 +90,18 @@ def test_a_scene_compiles_no_more_than_it_holds():
     assert marched == {"march"}
 
 
+def test_nothing_is_sampled_without_lights_of_an_extent_or_bounces():
+    sun = jaxir.Scene(plate(), sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 1.0),))
+    traced = _primitives(jax.make_jaxpr(lambda s: trace(s, _rays(), None, jax.random.key(0)))(sun).jaxpr)
+    asked = _primitives(jax.make_jaxpr(lambda s: trace(s, _rays(), jaxir.Reflection(), jax.random.key(0)))(sun).jaxpr)
+    random = {"random_bits", "random_split", "random_fold_in", "threefry2x32"}
+    assert not (traced | asked) & random
+    disc = jaxir.DiscSource((3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 1.0, 1.0)
+    lamp = jaxir.Scene(plate(), sources=(disc,))
+    traced = _primitives(jax.make_jaxpr(lambda s: trace(s, _rays(), None, jax.random.key(0)))(lamp).jaxpr)
+    assert traced & random
+
+
 def test_shadow_rays_are_traced_for_sources_only(monkeypatch):
     asked = []
     monkeypatch.setattr(paths_module, "occluded", lambda mesh, point, face, *rest: asked.append(1) or face > 99)

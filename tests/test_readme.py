@@ -20,3 +20,8 @@ def test_the_example_in_the_readme_runs(monkeypatch, capsys):
 @pytest.mark.parametrize("name", re.findall(r"`studies\.(\w+)`", (ROOT / "README.md").read_text()))
 def test_every_study_in_the_readme_exists(name):
     assert (ROOT / "studies" / f"{name}.py").is_file()
+
+
+def test_continuous_integration_runs_the_readme_s_command():
+    command = re.search(r"\*\*Run the tests:\*\*\n\n```sh\n(.*?)\n```", (ROOT / "README.md").read_text()).group(1)
+    assert command in (ROOT / ".ci" / "run").read_text().splitlines()

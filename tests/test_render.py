@@ -146,7 +146,7 @@ def test_the_air_dims_and_glows_over_everything():
     np.testing.assert_allclose(
         hazy.radiance, np.asarray(clear.radiance) * [0.9, 0.8, 0.7] + np.array([0.1, 0.2, 0.3], np.float32), rtol=1e-5
     )
-    np.testing.assert_allclose(hazy.empty, [0.1, 0.2, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(hazy.empty[0, 0], [0.1, 0.2, 0.3], rtol=1e-6)
     np.testing.assert_allclose(
         hazy.radiant_intensity(), np.asarray(clear.radiant_intensity()) * [0.9, 0.8, 0.7], rtol=1e-4
     )

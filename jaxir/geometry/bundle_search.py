@@ -10,12 +10,12 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Float, Int
 
-from jaxir.geometry.loops import bits, item, largest, lowest_bit, octant, row, varying
+from jaxir.geometry.loops import bits, item, largest, lowest_bit, octant, row, smallest, varying
 from jaxir.geometry.tree import FAR, WIDTH, Tree
 
 TILE = 256  # rays tested together
 _SLACK = 4.0  # units of the last place of an edge function within which a ray counts as inside
-_NONE = 3e38
+NONE = 3e38  # a depth beyond everything; its negative marks an inactive ray
 
 
 class View(NamedTuple):
@@ -29,7 +29,7 @@ class View(NamedTuple):
         frame: rows u, v, w [3, 3]; w points to the eye.
         inverse_range: [m-1]; None for parallel rays, whose projection then compiles to nothing.
         screen: [ray, 2] [m].
-        limit: projected depth before which hits lie [ray] [m]; -inf for an inactive ray.
+        limit: projected depth before which hits lie [ray] [m]; -inf for an inactive ray. None for no limit.
         skip: place of a face in the tree that is not met, -1 for none [ray]; None when no ray skips any.
     """
 
@@ -37,7 +37,7 @@ class View(NamedTuple):
     frame: Float[Array, "3 3"]
     inverse_range: Float[Array, ""] | None
     screen: Float[Array, "ray 2"]
-    limit: Float[Array, " ray"]
+    limit: Float[Array, " ray"] | None
     skip: Int[Array, " ray"] | None
 
 
@@ -65,31 +65,26 @@ def _search(tree: Tree, view: View, side: int, any_hit: bool) -> Int[Array, " ra
     count = view.screen.shape[0]
     size = min(TILE, -(-count // 16) * 16)
     pad = -count % size
-    limit = jnp.pad(jnp.maximum(view.limit, -_NONE), (0, pad), constant_values=-_NONE).reshape(-1, size)
-    x, y = (jnp.pad(view.screen[:, k], (0, pad), mode="edge").reshape(-1, size) for k in range(2))
+    limit = None
+    if view.limit is not None:
+        limit = jnp.pad(jnp.maximum(view.limit, -NONE), (0, pad), constant_values=-NONE).reshape(-1, size)
+    screen = jnp.pad(view.screen, ((0, pad), (0, 0)), mode="edge").reshape(-1, size, 2)
     skip = None if view.skip is None else jnp.pad(view.skip, (0, pad)).reshape(-1, size)
-    travel = jnp.concatenate([view.frame[:2], -view.frame[2:]])
-    shift = travel @ (tree.centre - view.target)
-    first = octant(travel[2])
-    boxes, children = [], []
-    for level_boxes, level_children in zip(tree.boxes, tree.children, strict=True):
-        nodes = level_children.shape[0] // 8
-        sorted_boxes = lax.dynamic_slice_in_dim(level_boxes, first * nodes, nodes)
-        boxes.append(_project_boxes(sorted_boxes, travel, shift, view.inverse_range))
-        children.append(lax.dynamic_slice_in_dim(level_children, first * nodes, nodes))
-    scene = _Scene(tuple(boxes), tuple(children), tree.leaves, travel, shift, view.inverse_range)
+    scene = see(tree, view.target, view.frame, view.inverse_range)
 
-    def one(tile: _Tile) -> Array:
-        return _search_tile(scene, tile, side, any_hit)
+    def one(tile: tuple[Array, Array | None, Array | None]) -> Array:
+        screen, limit, skip = tile
+        limit = jnp.full(size, NONE, screen.dtype) if limit is None else limit
+        return search_tile(scene, Tile(screen[:, 0], screen[:, 1], limit, skip), side, any_hit)
 
-    tiles = _Tile(x, y, limit, skip)
+    tiles = (screen, limit, skip)
     place = lax.platform_dependent(
         tiles, cpu=lambda tiles: lax.map(one, tiles), default=lambda tiles: jax.vmap(one)(tiles)
     ).reshape(-1)[:count]
     return jnp.where(place >= 0, tree.face.reshape(-1)[jnp.maximum(place, 0)], -1)
 
 
-class _Scene(NamedTuple):
+class SeenTree(NamedTuple):
     """The tree as one view sees it: boxes of each level are x0, x1, y0, y1 and nearest depth [node, 5 * 16]."""
 
     boxes: tuple[Array, ...]
@@ -100,7 +95,23 @@ class _Scene(NamedTuple):
     inverse_range: Array | None
 
 
-class _Tile(NamedTuple):
+def see(
+    tree: Tree, target: Float[Array, " 3"], frame: Float[Array, "3 3"], inverse_range: Float[Array, ""] | None
+) -> SeenTree:
+    """The tree seen by a projective map; arguments as in `View`."""
+    travel = jnp.concatenate([frame[:2], -frame[2:]])
+    shift = travel @ (tree.centre - target)
+    first = octant(travel[2])
+    boxes, children = [], []
+    for level_boxes, level_children in zip(tree.boxes, tree.children, strict=True):
+        nodes = level_children.shape[0] // 8
+        sorted_boxes = lax.dynamic_slice_in_dim(level_boxes, first * nodes, nodes)
+        boxes.append(_project_boxes(sorted_boxes, travel, shift, inverse_range))
+        children.append(lax.dynamic_slice_in_dim(level_children, first * nodes, nodes))
+    return SeenTree(tuple(boxes), tuple(children), tree.leaves, travel, shift, inverse_range)
+
+
+class Tile(NamedTuple):
     """Screen points, depth limits and skipped places of neighbouring rays."""
 
     x: Array
@@ -131,11 +142,11 @@ def _project_boxes(table: Array, travel: Array, shift: Array, inverse_range: Arr
     return jnp.concatenate([jnp.where(empty[:, 0], FAR, lane) for lane in rows], axis=1)
 
 
-def _search_tile(scene: _Scene, tile: _Tile, side: int, any_hit: bool) -> Array:
-    """Place in the tree for each ray of one tile, -1 for none."""
-    active = tile.limit > -_NONE
-    x0, x1 = jnp.min(jnp.where(active, tile.x, FAR)), jnp.max(jnp.where(active, tile.x, -FAR))
-    y0, y1 = jnp.min(jnp.where(active, tile.y, FAR)), jnp.max(jnp.where(active, tile.y, -FAR))
+def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
+    """Place in the tree of the face that each ray of one tile meets, -1 for none [ray]; see `search_bundle`."""
+    active = tile.limit > -NONE
+    x0, y0 = (smallest(jnp.where(active, lane, FAR)) for lane in (tile.x, tile.y))
+    x1, y1 = (largest(jnp.where(active, lane, -FAR)) for lane in (tile.x, tile.y))
     some = x0 <= x1
     x0, x1, y0, y1 = (jnp.where(some, edge, 0) for edge in (x0, x1, y0, y1))
     eps = jnp.finfo(tile.x.dtype).eps
@@ -183,7 +194,7 @@ def _search_tile(scene: _Scene, tile: _Tile, side: int, any_hit: bool) -> Array:
             if tile.skip is not None:
                 hit = hit & (tile.skip != index)
             if any_hit:
-                here = jnp.full_like(depth, -_NONE)
+                here = jnp.full_like(depth, -NONE)
             return jnp.where(hit, here, depth), jnp.where(hit, index, place)
 
         def advance(k: Array) -> Array:
@@ -215,7 +226,7 @@ class _Faces(NamedTuple):
     wanted: Array
 
 
-def _set_up(scene: _Scene, leaf: Array, centre: tuple[Array, Array], half: tuple[Array, Array], side: int) -> _Faces:
+def _set_up(scene: SeenTree, leaf: Array, centre: tuple[Array, Array], half: tuple[Array, Array], side: int) -> _Faces:
     """Edge functions of the faces of one leaf about the centre of a tile, in flat rows long enough for SIMD.
 
     c is formed from the sum of an edge's ends, so that neighbours, who run through it in opposite directions, get

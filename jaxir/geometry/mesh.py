@@ -19,7 +19,7 @@ from jaxir.geometry.ray import Bundle, Rays
 from jaxir.geometry.single_search import Query, search_single
 from jaxir.geometry.topology import is_closed
 from jaxir.geometry.tree import Tree, build, single_leaf
-from jaxir.geometry.triangle import Hit, reattach
+from jaxir.geometry.triangle import Hit, corners_of, reattach, unit_normal
 
 HANDFUL = 32  # faces up to which a mesh has no tree and every ray tests every face
 _LARGEST = 1e9  # [m]; products of three coordinates must not overflow in float32
@@ -161,40 +161,48 @@ def any_hit(
 @jax.jit
 def _hit(mesh: Mesh, rays: Rays | Bundle, face: Array) -> Hit:
     single = rays.rays() if isinstance(rays, Bundle) else rays
-    corners = mesh.vertices[mesh.faces[jnp.maximum(face, 0)]]
-    return Hit(*jax.vmap(reattach)(face, corners, single.origin, single.direction))
+    return Hit(face, *reattach(mesh.vertices, mesh.faces, face, single.origin, single.direction))
 
 
 def _face(mesh: Mesh, rays: Rays | Bundle, t_min: Any, t_max: Any, leaving: Array | None, any_hit: bool) -> Array:
     """The face that each ray meets, -1 for none; nothing in here is differentiated."""
     dtype = mesh.vertices.dtype
-    near, far = (jnp.broadcast_to(jnp.asarray(t, dtype), (rays.count,)) for t in (t_min, t_max))
-    from_zero = isinstance(t_min, (int, float)) and t_min == 0
-    whole = isinstance(rays, Rays) or mesh.tree is None or not from_zero or leaving is not None
-    search = _search_single if whole else _search_bundle
-    return search(*lax.stop_gradient((mesh, rays, near, far)), leaving, any_hit=any_hit)
+    # limits that are known to be none cost nothing
+    near = None if isinstance(t_min, (int, float)) and t_min == 0 else t_min
+    far = None if isinstance(t_max, (int, float)) and t_max == jnp.inf else t_max
+    near, far = (None if t is None else jnp.broadcast_to(jnp.asarray(t, dtype), (rays.count,)) for t in (near, far))
+    mesh, rays, near, far = lax.stop_gradient((mesh, rays, near, far))
+    if isinstance(rays, Rays) or mesh.tree is None or near is not None or leaving is not None:
+        return _search_single(mesh, rays, near, far, leaving, any_hit=any_hit)
+    return _search_bundle(mesh, rays, far, any_hit=any_hit)
 
 
 @partial(jax.jit, static_argnames="any_hit")
-def _search_single(mesh: Mesh, rays: Any, near: Array, far: Array, leaving: Array | None, any_hit: bool) -> Array:
+def _search_single(
+    mesh: Mesh, rays: Rays | Bundle, near: Array | None, far: Array | None, leaving: Array | None, any_hit: bool
+) -> Array:
     tree = mesh.search_tree()
+    near, far = (
+        jnp.full((rays.count,), none, mesh.vertices.dtype) if limit is None else limit
+        for limit, none in ((near, 0.0), (far, jnp.inf))
+    )
     return search_single(tree, _query(mesh, tree, rays, near, far, leaving), any_hit)
 
 
 @partial(jax.jit, static_argnames="any_hit")
-def _search_bundle(mesh: Mesh, bundle: Bundle, near: Array, far: Array, leaving: None, any_hit: bool) -> Array:
+def _search_bundle(mesh: Mesh, bundle: Bundle, far: Array | None, any_hit: bool) -> Array:
     # seen from beyond a closed mesh, the first face met looks at the eye
     side = 1 if mesh.closed else 0
 
     @sequential_vmap
-    def search(mesh: Mesh, bundle: Bundle, near: Array, far: Array) -> Array:
+    def search(mesh: Mesh, bundle: Bundle, far: Array | None) -> Array:
         return lax.cond(
             _before(mesh.search_tree(), bundle),
             lambda: search_bundle(mesh.search_tree(), bundle_view(bundle, far), side, any_hit),
-            lambda: _search_single(mesh, bundle, near, far, leaving, any_hit=any_hit),
+            lambda: _search_single(mesh, bundle, None, far, None, any_hit=any_hit),
         )
 
-    return search(mesh, bundle, near, far)
+    return search(mesh, bundle, far)
 
 
 def _query(mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array, leaving: Array | None) -> Query:
@@ -205,7 +213,7 @@ def _query(mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array,
         started = leaving >= 0
         normal = face_normal(mesh, jnp.maximum(leaving, 0))
         along = jnp.sign(jnp.sum(normal * direction, axis=-1))
-        origin = jnp.where(started[:, None], off_face(tree, origin, normal, along), origin)
+        origin = origin + jnp.where(started, off_face(tree) * along, 0)[:, None] * normal
         if mesh.closed:
             side = jnp.where(started, -along, 0)
         else:
@@ -215,30 +223,23 @@ def _query(mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array,
 
 def face_normal(mesh: Mesh, face: Int[Array, " ray"]) -> Float[Array, "ray 3"]:
     """Unit normals of faces [ray, 3]; 0 for a face without area."""
-    p = mesh.vertices[mesh.faces[face]]
-    normal = jnp.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    length = jnp.sqrt(jnp.sum(normal * normal, axis=-1, keepdims=True))
-    return normal / jnp.where(length > 0, length, 1)
+    return jnp.stack(unit_normal(corners_of(mesh.vertices, mesh.faces, face))).T
 
 
-def off_face(tree: Tree, point: Array, normal: Array, side: Float[Array, " ray"]) -> Float[Array, "ray 3"]:
-    """Points moved off their faces by the rounding of the mesh's coordinates, to the side where `side` is 1 or -1."""
+def off_face(tree: Tree) -> Float[Array, ""]:
+    """Distance by which rays start off their faces [m]: some rounding errors of the mesh's coordinates."""
     size = jnp.sqrt(jnp.sum(tree.half * tree.half)) + jnp.max(jnp.abs(tree.centre))
-    return point + (_OFFSET * jnp.finfo(point.dtype).eps * size * side)[:, None] * normal
+    return _OFFSET * jnp.finfo(size.dtype).eps * size
 
 
-def bundle_view(bundle: Bundle, far: Float[Array, " ray"]) -> View:
+def bundle_view(bundle: Bundle, far: Float[Array, " ray"] | None) -> View:
     """The projective map of a bundle whose rays end at `far` [ray] [m]; those with far <= 0 are inactive."""
-    slant = 1 / jnp.sqrt(1 + bundle.inverse_range**2 * jnp.sum(bundle.screen * bundle.screen, axis=-1))
-    limit = project(far * slant - bundle.start, bundle.inverse_range)
-    return View(
-        bundle.target,
-        bundle.frame,
-        bundle.inverse_range,
-        bundle.screen,
-        jnp.where(far > 0, limit, -jnp.inf),
-        None,
-    )
+    limit = None
+    if far is not None:
+        x, y = bundle.screen[:, 0], bundle.screen[:, 1]
+        slant = 1 / jnp.sqrt(1 + bundle.inverse_range**2 * (x * x + y * y))
+        limit = jnp.where(far > 0, project(far * slant - bundle.start, bundle.inverse_range), -jnp.inf)
+    return View(bundle.target, bundle.frame, bundle.inverse_range, bundle.screen, limit, None)
 
 
 def _before(tree: Tree, bundle: Bundle) -> Bool[Array, ""]:

@@ -68,4 +68,4 @@ class Bundle(eqx.Module):
             lateral = x * self.frame[0, k] + y * self.frame[1, k]
             direction.append((self.inverse_range * lateral - self.frame[2, k]) * slant)
             origin.append(self.target[k] + (lateral * shrink + self.start * self.frame[2, k]))
-        return Rays(jnp.stack(origin, axis=-1), jnp.stack(direction, axis=-1))
+        return Rays(jnp.stack(origin).T, jnp.stack(direction).T)

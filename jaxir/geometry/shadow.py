@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir.geometry.bundle_search import View, project, search_bundle
-from jaxir.geometry.mesh import Mesh, any_hit, face_normal, off_face
+from jaxir.geometry.bundle_search import NONE, TILE, Tile, project, search_tile, see
+from jaxir.geometry.loops import varying
+from jaxir.geometry.mesh import Mesh, any_hit, off_face
 from jaxir.geometry.ray import Rays
+from jaxir.geometry.triangle import corners_of, dot, unit_normal
 
 
 def occluded(
@@ -40,7 +45,7 @@ def occluded(
     Not differentiable: shadow edges have no derivative.
     """
     mesh, point, toward = lax.stop_gradient((mesh, point, toward))
-    return _occluded(mesh, point, face, toward, jnp.broadcast_to(toward, point.shape), active, None)
+    return _occluded(mesh, point, face, toward, active, None)
 
 
 def occluded_from(
@@ -77,41 +82,67 @@ def _occluded_from(mesh: Mesh, point: Array, face: Array, position: Array, activ
         return alone()
     outside = jnp.sum(jnp.abs(toward) * tree.half) < 0.99 * distance_of_eye
     inverse_range = 1 / jnp.where(outside, distance_of_eye, 1)
-    return lax.cond(outside, lambda: _occluded(mesh, point, face, toward, direction, active, inverse_range), alone)
+    return lax.cond(outside, lambda: _occluded(mesh, point, face, toward, active, inverse_range), alone)
 
 
 @jax.jit
+@sequential_vmap
 def _occluded(
-    mesh: Mesh,
-    point: Array,
-    face: Array,
-    toward: Array,
-    direction: Array,
-    active: Array,
-    inverse_range: Array | None,
+    mesh: Mesh, point: Array, face: Array, toward: Array, active: Array, inverse_range: Array | None
 ) -> Array:
-    """The shadow of one bundle of rays that run together in the direction `toward` of its axis."""
+    """The shadow of one bundle of rays, parallel to `toward` or to an eye that lies this way from the tree's centre."""
     tree = mesh.search_tree()
     if not tree.children:
         far = jnp.where(active, jnp.inf, 0).astype(point.dtype)
-        return any_hit(mesh, Rays(point, direction), t_max=far, leaving=face)
-    started = face >= 0
-    normal = face_normal(mesh, jnp.maximum(face, 0))
-    lit = jnp.sum(normal * direction, axis=-1)
-    away = jnp.zeros_like(active)
-    skip = None
-    if mesh.closed:
-        away = started & (lit <= 0)
-    else:
-        skip = jnp.where(started, tree.slot[jnp.maximum(face, 0)], -1)
-    point = jnp.where(started[:, None], off_face(tree, point, normal, jnp.sign(lit)), point)
+        return any_hit(mesh, Rays(point, jnp.broadcast_to(toward, point.shape)), t_max=far, leaving=face)
     frame = orthonormal(toward)
-    x, y, z = (jnp.sum((point - tree.centre[None, :]) * axis[None, :], axis=-1) for axis in frame)
-    scale = jnp.ones_like(z) if inverse_range is None else 1 / (1 - z * inverse_range)
-    limit = jnp.where(active & ~away, project(-z, inverse_range), -jnp.inf)
-    view = View(tree.centre, frame, inverse_range, jnp.stack([x * scale, y * scale], axis=-1), limit, skip)
-    side = -1 if mesh.closed else 0
-    return active & (away | (search_bundle(tree, view, side, any_hit=True) >= 0))
+    scene = see(tree, tree.centre, frame, inverse_range)
+    offset = off_face(tree)
+
+    def tile(point: Array, face: Array, active: Array) -> Array:
+        started = face >= 0
+        normal = unit_normal(corners_of(mesh.vertices, mesh.faces, face))
+        position = [point[:, k] - tree.centre[k] for k in range(3)]
+        if inverse_range is None:
+            lit = dot(normal, list(toward))
+        else:
+            lit = dot(normal, [toward[k] - position[k] * inverse_range for k in range(3)])
+        away, skip = jnp.zeros_like(active), None
+        if mesh.closed:
+            away = started & (lit <= 0)
+        else:
+            skip = jnp.where(started, tree.slot[jnp.maximum(face, 0)], -1)
+        step = jnp.where(started, offset * jnp.sign(lit), 0)
+        position = [position[k] + step * normal[k] for k in range(3)]
+        x, y, z = (dot(list(axis), position) for axis in frame)
+        scale = jnp.ones_like(z) if inverse_range is None else 1 / (1 - z * inverse_range)
+        limit = jnp.where(active & ~away, project(-z, inverse_range), -NONE)
+        side = -1 if mesh.closed else 0
+        place = search_tile(scene, Tile(x * scale, y * scale, limit, skip), side, any_hit=True)
+        return active & (away | (place >= 0))
+
+    count = len(point)
+    size = min(TILE, -(-count // 16) * 16)
+    tiles = [
+        jnp.pad(x, ((0, -count % size), *[(0, 0)] * (x.ndim - 1))).reshape(-1, size, *x.shape[1:])
+        for x in (point, face, active)
+    ]
+    return lax.platform_dependent(
+        *tiles, cpu=partial(_where_active, tile), default=lambda *tiles: jax.vmap(tile)(*tiles)
+    ).reshape(-1)[:count]
+
+
+def _where_active(tile: Callable[..., Array], point: Array, face: Array, active: Array) -> Array:
+    """`tile` of the tiles that hold an active point, one after another; False in the others."""
+    some = jnp.any(active, axis=1)
+    order = jnp.argsort(~some)
+
+    def body(k: Array, hidden: Array) -> Array:
+        index = order[k]
+        return hidden.at[index].set(tile(point[index], face[index], active[index]))
+
+    zero = jnp.zeros((), jnp.int32)
+    return lax.fori_loop(zero, jnp.sum(some, dtype=jnp.int32), body, varying(jnp.zeros_like(active), point))
 
 
 def orthonormal(w: Float[Array, " 3"]) -> Float[Array, "3 3"]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -26,56 +29,115 @@ class Hit(eqx.Module):
     normal: Float[Array, "ray 3"]
 
 
+_BLOCK = 256  # rays whose intermediate values stay in the processor's cache
+
+
+@jax.custom_jvp
 def reattach(
-    face: Int[Array, ""],
-    corners: Float[Array, "3 3"],
-    origin: Float[Array, " 3"],
-    direction: Float[Array, " 3"],
-) -> tuple[Int[Array, ""], Float[Array, ""], Float[Array, " 3"], Float[Array, " 3"], Float[Array, " 3"]]:
-    """t, barycentrics, point and normal of a known hit as smooth functions of the ray and the vertices.
+    vertices: Float[Array, "vertex 3"],
+    faces: Int[Array, "face 3"],
+    face: Int[Array, " ray"],
+    origin: Float[Array, "ray 3"],
+    direction: Float[Array, "ray 3"],
+) -> tuple[Float[Array, " ray"], Float[Array, "ray 3"], Float[Array, "ray 3"], Float[Array, "ray 3"]]:
+    """t, barycentrics, point and normal of known hits as smooth functions of the rays and the vertices.
 
     With e1, e2 the edges from the first corner, n = e1 x e2 and s = origin - corner,
-    t = -(s . n) / (d . n), b1 = (e2 . (s x d)) / -(d . n), b2 = -(e1 . (s x d)) / -(d . n).
+    t = -(s . n) / (d . n), b1 = (e2 . (s x d)) / -(d . n), b2 = -(e1 . (s x d)) / -(d . n). A face within whose plane
+    the ray runs, by rounding, is said to be met at its centroid.
 
     Args:
-        face: the face, -1 on a miss.
-        corners: its vertices [corner, 3] [m].
-        origin: [3] [m].
-        direction: [3], unit.
+        vertices: [vertex, 3] [m].
+        faces: [face, 3].
+        face: the face that each ray meets, -1 on a miss [ray].
+        origin: [ray, 3] [m].
+        direction: unit [ray, 3].
 
     Returns:
-        face (-1 also where the ray runs within the face's plane), t [m] (inf on a miss), barycentric [3], point [3]
-        [m], normal [3].
+        t [ray] [m] (inf on a miss), barycentric [ray, 3], point [ray, 3] [m], normal [ray, 3].
 
-    Differentiable in corners, origin, direction with zero derivatives on a miss; that the face is met at all
+    Differentiable in vertices, origin, direction with zero derivatives on a miss; that the face is met at all
     (silhouettes, shadow edges) has no derivative here.
     """
-    a, b, c = ([corners[i, k] for k in range(3)] for i in range(3))
-    start, along = [origin[k] for k in range(3)], [direction[k] for k in range(3)]
+    return lax.platform_dependent(vertices, faces, face, origin, direction, cpu=_by_blocks, default=_at_once)
+
+
+@reattach.defjvp
+def _reattach_jvp(primals: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+    # not through the loop over blocks, whose transpose would add up a gradient of the whole mesh in every block
+    vertices, faces, face, origin, direction = primals
+    moving = (vertices, origin, direction)
+    return jax.jvp(lambda v, o, d: _at_once(v, faces, face, o, d), moving, (tangents[0], *tangents[3:]))
+
+
+def _by_blocks(vertices: Array, faces: Array, face: Array, origin: Array, direction: Array) -> tuple[Array, ...]:
+    count = face.shape[0]
+    size = min(_BLOCK, max(count, 1))
+    rays = [
+        jnp.pad(x, ((0, -count % size), *[(0, 0)] * (x.ndim - 1))).reshape(-1, size, *x.shape[1:])
+        for x in (face, origin, direction)
+    ]
+    out = lax.map(lambda block: _at_once(vertices, faces, *block), rays)
+    return tuple(x.reshape(-1, *x.shape[2:])[:count] for x in out)
+
+
+def _at_once(vertices: Array, faces: Array, face: Array, origin: Array, direction: Array) -> tuple[Array, ...]:
+    o, d = ([x[:, k] for k in range(3)] for x in (origin, direction))
+    t, *vectors = _record(face, corners_of(vertices, faces, face), o, d)
+    return t, *(jnp.stack(v).T for v in vectors)
+
+
+# Vectors as lists of components, and flat gathers: XLA's CPU loops over a last axis of length 3 are slow.
+
+
+def corners_of(
+    vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"], face: Int[Array, " ray"]
+) -> list[list[Float[Array, " ray"]]]:
+    """Coordinate k of corner i of each face, as [i][k]; of face 0 where `face` is -1."""
+    near, number = jnp.maximum(face, 0) * 3, vertices.reshape(-1)
+    first = [faces.reshape(-1).at[near + i].get(mode="promise_in_bounds") * 3 for i in range(3)]
+    return [[number.at[at + k].get(mode="promise_in_bounds") for k in range(3)] for at in first]
+
+
+def unit_normal(corners: list[list[Array]]) -> list[Array]:
+    """Unit normals of faces given by `corners_of`; 0 for a face without area."""
+    a, b, c = corners
+    normal = _cross(_minus(b, a), _minus(c, a))
+    size = dot(normal, normal)
+    shrink = jnp.where(size > 0, lax.rsqrt(jnp.where(size > 0, size, 1)), 0)
+    return [x * shrink for x in normal]
+
+
+def _record(
+    face: Array, corners: list[list[Array]], start: list[Array], along: list[Array]
+) -> tuple[Array, list[Array], list[Array], list[Array]]:
+    """`reattach`, elementwise over vectors as lists of components."""
+    a, b, c = corners
     e1, e2, s = _minus(b, a), _minus(c, a), _minus(start, a)
     n = _cross(e1, e2)
-    size, slope = _dot(n, n), -_dot(along, n)
-    hit = (face >= 0) & (size > 0) & (slope != 0)
+    size, slope = dot(n, n), -dot(along, n)
+    met = face >= 0
+    solid = met & (size > 0)
+    hit = solid & (slope != 0)
     inverse = 1 / jnp.where(hit, slope, 1)
     moment = _cross(s, along)
-    t = jnp.where(hit, _dot(s, n) * inverse, 0)
-    b1 = jnp.where(hit, _dot(e2, moment) * inverse, 0)
-    b2 = jnp.where(hit, -_dot(e1, moment) * inverse, 0)
-    barycentric = jnp.stack([jnp.where(hit, 1 - b1 - b2, 0), b1, b2])
-    shrink = lax.rsqrt(jnp.where(hit, size, 1))
-    normal = jnp.stack([jnp.where(hit, x * shrink, 0) for x in n])
-    point = jnp.stack([x + t * y for x, y in zip(start, along, strict=True)])
-    return jnp.where(hit, face, -1), jnp.where(hit, t, jnp.inf), barycentric, point, normal
-
-
-# Vectors as lists of scalars: XLA's CPU loops over a last axis of length 3 are slow.
+    centroid = [x + (y + z) / 3 for x, y, z in zip(a, e1, e2, strict=True)]
+    t = jnp.where(hit, dot(s, n) * inverse, jnp.where(met, dot(_minus(centroid, start), along), 0))
+    third = jnp.where(met, jnp.full_like(t, 1 / 3), 0)
+    b1 = jnp.where(hit, dot(e2, moment) * inverse, third)
+    b2 = jnp.where(hit, -dot(e1, moment) * inverse, third)
+    shrink = lax.rsqrt(jnp.where(solid, size, 1))
+    normal = [jnp.where(solid, x * shrink, 0) for x in n]
+    point = [x + t * y for x, y in zip(start, along, strict=True)]
+    return jnp.where(met, t, jnp.inf), [jnp.where(met, 1 - b1 - b2, 0), b1, b2], point, normal
 
 
 def _minus(a: list[Array], b: list[Array]) -> list[Array]:
     return [x - y for x, y in zip(a, b, strict=True)]
 
 
-def _dot(a: list[Array], b: list[Array]) -> Array:
+def dot(a: list[Array], b: list[Array]) -> Array:
+    """Inner product of vectors given as lists of components."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 

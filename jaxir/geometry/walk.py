@@ -25,14 +25,19 @@ FLAT = 1e-30  # a sideways drift of fewer cells per slab than this never reaches
 LIST_CHUNK = 256  # rays whose slabs are unrolled at a time
 
 
+Pair = tuple[Float[Array, ""], Float[Array, ""]]
+
+
 class Walk(eqx.Module):
     """Constants of one ray's walk. Slab coordinate s grows along the ray by 1 per slab; lengths across are in cells.
 
+    What exists once for each of the two other axes is a pair, so that a batch of walks reads each of them in a row.
+
     Attributes:
-        across: the two other coordinates at s = 0 [2].
-        drift: their change per slab [2], at most 1 in size.
-        inverse: 1 / drift, 0 where there is none [2].
-        top: largest cell index on the two other axes [2].
+        across: the two other coordinates at s = 0.
+        drift: their change per slab, at most 1 in size.
+        inverse: 1 / drift, 0 where there is none.
+        top: largest cell index on the two other axes.
         step: length of the ray per slab [m].
         enter: s where the walk begins.
         leave: s where it ends; `leave` <= `enter` for a ray that misses.
@@ -40,13 +45,13 @@ class Walk(eqx.Module):
         last: one past the index of the slab with `leave`; equals `first` on a miss.
         base: flat index of the cell (0, 0) of slab 0.
         stride: change of the flat index from a slab to the next.
-        across_stride: and along the two other axes [2].
+        across_stride: and along the two other axes.
     """
 
-    across: Float[Array, " 2"]
-    drift: Float[Array, " 2"]
-    inverse: Float[Array, " 2"]
-    top: Float[Array, " 2"]
+    across: Pair
+    drift: Pair
+    inverse: Pair
+    top: Pair
     step: Float[Array, ""]
     enter: Float[Array, ""]
     leave: Float[Array, ""]
@@ -54,7 +59,7 @@ class Walk(eqx.Module):
     last: Int[Array, ""]
     base: Int[Array, ""]
     stride: Int[Array, ""]
-    across_stride: Int[Array, " 2"]
+    across_stride: tuple[Int[Array, ""], Int[Array, ""]]
 
 
 def _pick(axis: Int[Array, ""], triple: Array) -> tuple[Array, Array, Array]:
@@ -74,6 +79,11 @@ def _inside(across: Array, drift: Array, count: Array) -> tuple[Array, Array]:
     low = jnp.where(flat, jnp.where(within, -jnp.inf, jnp.inf), jnp.minimum(at_low, at_high))
     high = jnp.where(flat, jnp.where(within, jnp.inf, -jnp.inf), jnp.maximum(at_low, at_high))
     return low, high
+
+
+def _inverse(drift: Array) -> Array:
+    """1 / drift, 0 where there is none."""
+    return jnp.where(drift == 0, 0, 1 / jnp.where(drift == 0, 1, drift))
 
 
 def start_walk(grid: Grid, origin: Float[Array, " 3"], direction: Float[Array, " 3"], t_max: Float[Array, ""]) -> Walk:
@@ -121,12 +131,11 @@ def start_walk(grid: Grid, origin: Float[Array, " 3"], direction: Float[Array, "
     leave = jnp.minimum(jnp.minimum(here + t_max * rate, cells), jnp.minimum(high[0], high[1]))
     hit = moving & (leave > enter)
     enter, leave = jnp.where(hit, enter, 0), jnp.where(hit, leave, 0)
-    drift_pair = jnp.stack(drift)
     return Walk(
-        across=jnp.stack(across),
-        drift=drift_pair,
-        inverse=jnp.where(drift_pair == 0, 0, 1 / jnp.where(drift_pair == 0, 1, drift_pair)),
-        top=jnp.stack(counts).astype(position.dtype) - 1,
+        across=(across[0], across[1]),
+        drift=(drift[0], drift[1]),
+        inverse=(_inverse(drift[0]), _inverse(drift[1])),
+        top=(counts[0].astype(position.dtype) - 1, counts[1].astype(position.dtype) - 1),
         step=1 / rate,
         enter=enter,
         leave=leave,
@@ -134,7 +143,7 @@ def start_walk(grid: Grid, origin: Float[Array, " 3"], direction: Float[Array, "
         last=jnp.ceil(leave).astype(jnp.int32),
         base=jnp.where(forward, 0, (count - 1) * stride),
         stride=jnp.where(forward, stride, -stride),
-        across_stride=jnp.stack(across_strides),
+        across_stride=(across_strides[0], across_strides[1]),
     )
 
 

@@ -14,8 +14,8 @@ from jaxir.render import Image, Signature
 def save_image(path: str | os.PathLike, image: Image) -> None:
     """Write an image as NPZ.
 
-    The arrays: radiance and standard_error [row, column, band] in W m-2 sr-1, empty [band], bands, pixel [2] in m,
-    inverse_range in m-1, frame [3, 3] and target [3] of the camera, unit.
+    The arrays: radiance and standard_error [row, column, band] in W m-2 sr-1, empty [row or 1, column or 1, band],
+    bands, pixel [2] in m, inverse_range in m-1, frame [3, 3] and target [3] of the camera, unit.
 
     Args:
         path: the file, ending in .npz.

@@ -21,6 +21,19 @@ class AbstractGas(eqx.Module):
         """Absorption coefficient [*cell, node] [m-1] at `temperature` [*cell] [K]."""
 
     @abc.abstractmethod
+    def diluted(self, share: Float[Array, "*cell"], density: Float[Array, "*cell"]) -> AbstractGas:
+        """This gas, the same everywhere, mixed with air that does not absorb.
+
+        Args:
+            share: its mole fraction in the mixture [*cell].
+            density: molar density of the mixture over that for which the gas was given [*cell]; a gas that knows its
+                pressure and is asked with its temperature has no use for it.
+
+        Returns:
+            A gas with fields per cell.
+        """
+
+    @abc.abstractmethod
     def checks(self) -> list[Check]:
         """What must hold of the fields' values."""
 
@@ -53,6 +66,20 @@ class GrayGas(AbstractGas):
             )
         spread = value.reshape((1,) * (len(shape) - value.ndim) + value.shape)
         return jnp.broadcast_to(spread, shape)
+
+    def diluted(self, share: Float[Array, "*cell"], density: Float[Array, "*cell"]) -> GrayGas:
+        """See `AbstractGas.diluted`: the coefficient is proportional to the number of absorbers in a volume.
+
+        Raises:
+            ValueError: the coefficient already differs from cell to cell.
+        """
+        if self.coefficient.ndim != 1:
+            raise ValueError(
+                f"GrayGas.coefficient: got shape {self.coefficient.shape}, expected one value or (node,): gas that is "
+                "the same everywhere before it is diluted"
+            )
+        absorbers = share * density
+        return GrayGas(absorbers[..., None] * self.coefficient.reshape((1,) * absorbers.ndim + (-1,)))
 
     def checks(self) -> list[Check]:
         """Coefficients are finite and >= 0."""

@@ -61,6 +61,26 @@ def phi2(u: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     return jnp.where(thin, _series(jnp.where(thin, u, 0), 2), (1 - (1 - jnp.exp(-large)) / large) / large)
 
 
+def thinning(u: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """-d phi1 / du = phi1 - phi2 = (1 - (1 + u) exp(-u)) / u^2, 1/2 at u = 0; a difference that loses no digits.
+
+    Args:
+        u: optical depth >= 0 [*batch].
+
+    Returns:
+        [*batch].
+
+    Differentiable in `u`.
+    """
+    thin = u < SERIES_BELOW
+    small, large = jnp.where(thin, u, 0), jnp.where(thin, 1, u)
+    terms = 9 if u.dtype == jnp.float32 else 16
+    total = jnp.full_like(u, (terms + 1) / math.factorial(terms + 2))
+    for k in range(terms - 1, -1, -1):
+        total = (k + 1) / math.factorial(k + 2) - small * total
+    return jnp.where(thin, total, ((1 - jnp.exp(-large)) / large - jnp.exp(-large)) / large)
+
+
 def attenuate(radiance: Float[Array, "*batch"], u: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """exp(-u) times `radiance`, without drift over many thin layers and without cancellation in thick ones.
 
@@ -77,6 +97,25 @@ def attenuate(radiance: Float[Array, "*batch"], u: Float[Array, "*batch"]) -> Fl
     Differentiable in both.
     """
     return jnp.where(u < SERIES_BELOW, radiance - (u * phi1(u)) * radiance, jnp.exp(-u) * radiance)
+
+
+def across_layer(
+    behind: Float[Array, "*batch"],
+    extinction: Float[Array, "*batch"],
+    emission: Float[Array, "*batch"],
+    length: Float[Array, "*batch"],
+) -> Float[Array, "*batch"]:
+    """The value of `through_layer`, in the fewest operations: one exponential, one division, one selection.
+
+    Two whole formulas and a selection between them compile to twice the speed of selections inside one formula.
+
+    Not differentiable: what is selected away may have no finite derivative.
+    """
+    u = extinction * length
+    passed = jnp.exp(-u)
+    thin = behind + length * _series(jnp.minimum(u, SERIES_BELOW), 1) * (emission - extinction * behind)
+    thick = passed * behind + (1 - passed) / jnp.maximum(extinction, 1e-37) * emission
+    return jnp.where(u < SERIES_BELOW, thin, thick)
 
 
 @jax.custom_jvp
@@ -99,18 +138,17 @@ def through_layer(
 
     Differentiable in all arguments, forward and reverse, to any order.
     """
-    u = extinction * length
-    return attenuate(behind, u) + length * phi1(u) * emission
+    return across_layer(behind, extinction, emission, length)
 
 
 @through_layer.defjvp
 def _through_layer_jvp(primals, tangents):
-    """dR' = exp(-u) dR + l phi1 dj + l (l phi2 j - R') dmu + exp(-u) (j - mu R) dl: no division anywhere."""
+    """dR' = exp(-u) dR + l phi1 dj - l (exp(-u) R + l thinning j) dmu + exp(-u) (j - mu R) dl: nothing cancels."""
     behind, extinction, emission, length = primals
     d_behind, d_extinction, d_emission, d_length = tangents
     u = extinction * length
     radiance = through_layer(behind, extinction, emission, length)
-    by_extinction = length * (length * phi2(u) * emission - radiance)
+    by_extinction = -length * (attenuate(behind, u) + length * thinning(u) * emission)
     by_length = jnp.exp(-u) * (emission - extinction * behind)
     return radiance, (
         attenuate(d_behind, u) + length * phi1(u) * d_emission + by_extinction * d_extinction + by_length * d_length

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check, as_float, enforce, fraction, positive
 from jaxir.optics._tables import ABSENT, HOT_GAS_EDGES, HOT_GAS_TEMPERATURE, hot_gas, overlap_matrix
 from jaxir.optics.band import Nodes
+from jaxir.optics.combustion import NITROGEN_PER_OXYGEN
 from jaxir.optics.gas import AbstractGas
 from jaxir.optics.k_distribution import log_quantile, quantile_series
 from jaxir.optics.spline import spline_matrix, spline_weights
@@ -113,6 +114,21 @@ class NarrowBandGas(AbstractGas):
             if amount is not None
         ]
         return functools.reduce(jnp.add, parts)
+
+    def diluted(self, share: Float[Array, "*cell"], density: Float[Array, "*cell"]) -> NarrowBandGas:
+        """See `AbstractGas.diluted`: mole fractions are shares of this gas's, and air brings its oxygen.
+
+        Raises:
+            ValueError: the gas already differs from cell to cell.
+        """
+        shapes = sorted({field.shape for field in jax.tree.leaves(self)} - {()})
+        if shapes:
+            raise ValueError(
+                f"NarrowBandGas: got fields of shapes {shapes}, expected scalars: gas that is the same everywhere "
+                "before it is diluted"
+            )
+        h2o, co2, co = (None if x is None else share * x for x in (self.h2o, self.co2, self.co))
+        return NarrowBandGas(self.pressure, h2o, co2, co, share * self.o2 + (1 - share) / (1 + NITROGEN_PER_OXYGEN))
 
     def _lorentz(
         self, species: str, pressure: Float[Array, "*cell"], temperature: Float[Array, "*cell"]

@@ -17,7 +17,8 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check, as_float, finite, non_negative, positive, require_shape, unit_vector
 from jaxir._vector import dot
 from jaxir.geometry.sampling import pdf_disc, pdf_from_area, sample_cap, sample_disc, sphere_drop
-from jaxir.scene.source import spectral
+from jaxir.optics.band import Nodes
+from jaxir.scene.source import AbstractDeltaSource, per_node, spectral
 
 
 class Arrival(NamedTuple):
@@ -46,15 +47,15 @@ class AbstractAreaSource(eqx.Module):
         """Where a ray from the skin meets the light, with the density `sample` has for that direction."""
 
     @abc.abstractmethod
-    def emitted(self) -> Float[Array, " node"]:
-        """Its radiance [node or 1] [W m-2 sr-1]."""
+    def emitted(self, nodes: Nodes) -> Float[Array, " node"]:
+        """Its radiance [node] [W m-2 sr-1]."""
 
     @abc.abstractmethod
     def checks(self) -> list[Check]:
         """What must hold of the fields' values."""
 
 
-class PointSource(eqx.Module):
+class PointSource(AbstractDeltaSource):
     """A light without extent that shines alike in all directions.
 
     Attributes:
@@ -73,15 +74,16 @@ class PointSource(eqx.Module):
         self.intensity = spectral("PointSource.intensity", intensity)
 
     def toward(self, point: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
-        """Unit vector to the light [3] and distance [m]."""
+        """See `AbstractDeltaSource.toward`."""
         return _toward(self.position - point)
 
-    def irradiance(self, point: Float[Array, " 3"]) -> Float[Array, " node"]:
-        """Irradiance of a surface at `point` that faces the light, intensity / distance^2; 0 at the light itself."""
+    def beam(self, nodes: Nodes, point: Float[Array, " 3"]) -> Float[Array, " node"]:
+        """See `AbstractDeltaSource.beam`; intensity / distance^2, and 0 at the light itself."""
         offset = self.position - point
         square = dot(offset, offset)
         there = square > 0
-        return jnp.where(there, self.intensity / jnp.where(there, square, 1), 0)
+        intensity = per_node("PointSource.intensity", self.intensity, nodes)
+        return jnp.where(there, intensity / jnp.where(there, square, 1), 0)
 
     def checks(self) -> list[Check]:
         """The position is finite, the intensity not negative."""
@@ -131,9 +133,9 @@ class DiscSource(AbstractAreaSource):
         pdf = pdf_from_area(pdf_disc(self.radius), omega_i, distance, self.normal)
         return Arrival(omega_i, jnp.where(met, distance, jnp.inf), jnp.where(met, pdf, 0))
 
-    def emitted(self) -> Float[Array, " node"]:
+    def emitted(self, nodes: Nodes) -> Float[Array, " node"]:
         """See `AbstractAreaSource.emitted`."""
-        return self.radiance
+        return per_node("DiscSource.radiance", self.radiance, nodes)
 
     def checks(self) -> list[Check]:
         """The disc has a size, its normal length 1, its radiance is not negative."""
@@ -182,9 +184,9 @@ class SphereSource(AbstractAreaSource):
         density = _cap_density(sphere_drop(point, self.centre, self.radius))
         return Arrival(omega_i, distance, jnp.where(jnp.isfinite(distance), density, 0))
 
-    def emitted(self) -> Float[Array, " node"]:
+    def emitted(self, nodes: Nodes) -> Float[Array, " node"]:
         """See `AbstractAreaSource.emitted`."""
-        return self.radiance
+        return per_node("SphereSource.radiance", self.radiance, nodes)
 
     def checks(self) -> list[Check]:
         """The sphere has a size, its radiance is not negative."""

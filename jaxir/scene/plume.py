@@ -37,6 +37,10 @@ class GridPlume(eqx.Module):
         self.temperature = jnp.broadcast_to(value, grid.shape)
         self.gas = gas
 
+    def extent(self) -> Float[Array, "8 3"]:
+        """Points whose convex hull holds the plume [8, 3] [m]: corners of the grid."""
+        return self.grid.corners()
+
     def checks(self) -> list[Check]:
         """Cells have positive size, temperatures are positive, the gas's fields in range."""
         return [*self.grid.checks(), positive("GridPlume.temperature", self.temperature), *self.gas.checks()]

@@ -10,9 +10,11 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check
 from jaxir.scene.atmosphere import AbstractAtmosphere
 from jaxir.scene.background import AbstractBackground
+from jaxir.scene.jet import JetPlume
+from jaxir.scene.near_source import AbstractAreaSource
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.skin import Skin
-from jaxir.scene.source import ParallelSource
+from jaxir.scene.source import AbstractDeltaSource
 
 
 class Scene(eqx.Module):
@@ -24,14 +26,15 @@ class Scene(eqx.Module):
     Attributes:
         skin: opaque surface.
         plume: emitting and absorbing gas.
-        sources: lights that have no extent.
+        sources: lights, without extent (`ParallelSource`, `PointSource`) and with (`DiscSource`, `SphereSource`). They
+            light the skin; a camera does not see them, and they cast no shadow.
         background: what rays see that meet nothing.
         atmosphere: the path from the target to the sensor.
     """
 
     skin: Skin | None = None
-    plume: GridPlume | None = None
-    sources: tuple[ParallelSource, ...] = ()
+    plume: GridPlume | JetPlume | None = None
+    sources: tuple[AbstractDeltaSource | AbstractAreaSource, ...] = ()
     background: AbstractBackground | None = None
     atmosphere: AbstractAtmosphere | None = None
 
@@ -39,11 +42,21 @@ class Scene(eqx.Module):
         if self.skin is None and self.plume is None:
             raise ValueError("Scene: got neither skin nor plume, expected at least one of them")
 
+    @property
+    def delta_sources(self) -> tuple[AbstractDeltaSource, ...]:
+        """The sources without extent."""
+        return tuple(source for source in self.sources if isinstance(source, AbstractDeltaSource))
+
+    @property
+    def area_sources(self) -> tuple[AbstractAreaSource, ...]:
+        """The sources with an extent."""
+        return tuple(source for source in self.sources if isinstance(source, AbstractAreaSource))
+
     def extent(self) -> Float[Array, "corner 3"]:
-        """Points whose convex hull holds skin and plume [corner, 3] [m]: mesh vertices and corners of the grid."""
+        """Points whose convex hull holds skin and plume [corner, 3] [m]: mesh vertices and corners of the plume."""
         points = [] if self.skin is None else [self.skin.mesh.vertices]
         if self.plume is not None:
-            points.append(self.plume.grid.corners())
+            points.append(self.plume.extent())
         return jnp.concatenate(points)
 
     def radius(self, centre: Float[Array, " 3"]) -> Float[Array, ""]:

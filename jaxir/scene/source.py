@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 from typing import Any
 
 import equinox as eqx
@@ -30,7 +31,23 @@ def spectral(field: str, value: Any) -> Float[Array, " n"]:
     return array[None] if array.ndim == 0 else array
 
 
-class ParallelSource(eqx.Module):
+class AbstractDeltaSource(eqx.Module):
+    """A light without extent: its light arrives from one direction, which is evaluated and never sampled."""
+
+    @abc.abstractmethod
+    def toward(self, point: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
+        """Unit vector to the light [3] and its distance [m]."""
+
+    @abc.abstractmethod
+    def beam(self, nodes: Nodes, point: Float[Array, " 3"]) -> Float[Array, " node"]:
+        """Irradiance [node] [W m-2] of a surface at `point` that faces the light."""
+
+    @abc.abstractmethod
+    def checks(self) -> list[Check]:
+        """What must hold of the fields' values."""
+
+
+class ParallelSource(AbstractDeltaSource):
     """A source at infinity without extent, as the sun nearly is.
 
     Attributes:
@@ -48,6 +65,14 @@ class ParallelSource(eqx.Module):
         self.direction = as_float(direction, "ParallelSource.direction")
         require_shape("ParallelSource.direction", self.direction, (3,))
         self.irradiance = spectral("ParallelSource.irradiance", irradiance)
+
+    def toward(self, point: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
+        """See `AbstractDeltaSource.toward`; the same direction from everywhere, at infinity."""
+        return -self.direction, jnp.full((), jnp.inf, self.direction.dtype)
+
+    def beam(self, nodes: Nodes, point: Float[Array, " 3"]) -> Float[Array, " node"]:
+        """See `AbstractDeltaSource.beam`; the same everywhere."""
+        return per_node("ParallelSource.irradiance", self.irradiance, nodes)
 
     def checks(self) -> list[Check]:
         """The direction has length 1, the irradiance is not negative."""

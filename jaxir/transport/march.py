@@ -9,7 +9,7 @@ by the summed optical depth: next to a bright background the emission of thin ce
 
 The tangent is marched along with the whole radiance R,
 
-    dR <- exp(-u) dR + l phi1(u) dj + l (l phi2(u) j - R) dmu    (R: after the cell),
+    dR <- exp(-u) dR + l phi1(u) dj - l (exp(-u) R + l thinning(u) j) dmu    (R: behind the cell),
 
 and the adjoint near to far, with T the transmittance so far (1 at the eye) and Q the radiance still to come (all of
 it at the eye), which needs neither stored steps nor divisions:
@@ -33,7 +33,7 @@ from jaxir._arrays import require_shape
 from jaxir.geometry.grid import Grid
 from jaxir.geometry.ray import Rays
 from jaxir.geometry.walk import Segments, Walk, slab_segments, start_walk
-from jaxir.optics.layer import attenuate, phi1, phi2
+from jaxir.optics.layer import SERIES_BELOW, across_layer, attenuate, phi1, phi2, thinning
 from jaxir.transport.streaming import is_active, register_jvp, register_linear, streaming_primitive, zero_like
 
 CHUNK = 256  # consecutive rays marched together: enough to fill the vector units, few enough to stay alike
@@ -70,7 +70,7 @@ def _over_chunks(function: Callable, state: Any, size: int, geometry: Lists, per
 
 
 def _fold(walk: Walk, update: Callable, state: Any, near_to_far: bool) -> Any:
-    """Carry `state` through the segments of a chunk of rays: `update(state, cell [ray], length [ray, 1])`."""
+    """Carry `state` through the segments of a chunk of rays: `update(state, cell [ray], length [ray])`."""
     slabs = jnp.max(walk.last - walk.first)
 
     def body(i, state):
@@ -78,10 +78,27 @@ def _fold(walk: Walk, update: Callable, state: Any, near_to_far: bool) -> Any:
         on = (slab < walk.last) & (slab >= walk.first)
         segments: Segments = jax.vmap(slab_segments)(walk, slab, on)
         for cell, length in segments if near_to_far else segments[::-1]:
-            state = update(state, cell, length[:, None])
+            state = update(state, cell, length)
         return state
 
     return lax.fori_loop(0, slabs, body, state)
+
+
+def _fold_slabs(walk: Walk, update: Callable, state: Any) -> Any:
+    """As `_fold`, near to far, a whole slab at a time: `update(state, cell [3, ray], length [3, ray])`."""
+
+    def body(i, state):
+        slab = walk.first + i
+        segments: Segments = jax.vmap(slab_segments)(walk, slab, slab < walk.last)
+        cell, length = (jnp.stack(parts) for parts in zip(*segments, strict=True))
+        return update(state, cell, length)
+
+    return lax.fori_loop(0, jnp.max(walk.last - walk.first), body, state)
+
+
+def _beside(length: Array, like: Array) -> Array:
+    """Lengths [..., ray] spread over the nodes of `like`, if it has any."""
+    return jnp.broadcast_to(length.reshape(length.shape + (1,) * (like.ndim - length.ndim)), like.shape)
 
 
 def _at(field: Array, cell: Array) -> Array:
@@ -89,20 +106,34 @@ def _at(field: Array, cell: Array) -> Array:
     return field.at[cell].get(mode="promise_in_bounds")
 
 
+def _alone(*arrays: Array) -> tuple[Array, ...]:
+    """Drop a node axis of length 1: XLA makes faster loops of [ray] than of [ray, 1]."""
+    return tuple(array[..., 0] if array.shape[-1] == 1 else array for array in arrays)
+
+
 def _radiance(extinction, emission, behind, *geometry, shape):
     """Value: [ray, node]."""
+    nodes = behind.shape[1:]
+    extinction, emission, behind = _alone(extinction, emission, behind)
 
     def chunk(_, walk, behind):
-        def update(state, cell, length):
-            emitted, depth = state
-            u = _at(extinction, cell) * length
-            return attenuate(emitted, u) + length * phi1(u) * _at(emission, cell), depth + u
+        def emit(emitted, cell, length):
+            mu, j = _at(extinction, cell), _at(emission, cell)
+            return across_layer(emitted, mu, j, _beside(length, mu))
+
+        def deepen(depth, cell, length):
+            mu = _at(extinction, cell)
+            return depth + _beside(length, mu) * mu
 
         dark = jnp.zeros_like(behind)
-        emitted, depth = _fold(walk, update, (dark, dark), near_to_far=False)
+        emitted = _fold(walk, emit, dark, near_to_far=False)
+        # The summed depth is needed, and costs its own walk, only where there is something behind.
+        depth = lax.cond(jnp.any(behind != 0), lambda: _fold(walk, deepen, dark, near_to_far=False), lambda: dark)
         return (), emitted + jnp.exp(-depth) * behind
 
-    return [_over_chunks(chunk, (), _chunk_rays(*behind.shape), geometry, (behind,), shape)[1]]
+    size = _chunk_rays(behind.shape[0], *nodes)
+    radiance = _over_chunks(chunk, (), size, geometry, (behind,), shape)[1]
+    return [radiance.reshape((-1, *nodes))]
 
 
 def _radiance_tangent(extinction, emission, behind, _, *rest, shape, wrt):
@@ -115,13 +146,15 @@ def _radiance_tangent(extinction, emission, behind, _, *rest, shape, wrt):
     def chunk(_, walk, behind, d_behind):
         def update(state, cell, length):
             radiance, d_radiance = state
-            u, j = _at(extinction, cell) * length, _at(emission, cell)
-            gain = length * phi1(u)
-            radiance, d_radiance = attenuate(radiance, u) + gain * j, attenuate(d_radiance, u)
+            mu, j = _at(extinction, cell), _at(emission, cell)
+            length = _beside(length, mu)
+            u = mu * length
+            gain, passed = length * phi1(u), attenuate(radiance, u)
+            radiance, d_radiance = across_layer(radiance, mu, j, length), attenuate(d_radiance, u)
             if d_emission is not None:
                 d_radiance = d_radiance + gain * _at(d_emission, cell)
             if d_extinction is not None:
-                d_radiance = d_radiance + length * (length * phi2(u) * j - radiance) * _at(d_extinction, cell)
+                d_radiance = d_radiance - length * (passed + length * thinning(u) * j) * _at(d_extinction, cell)
             return radiance, d_radiance
 
         return (), _fold(walk, update, (behind, d_behind), near_to_far=False)[1]
@@ -132,27 +165,40 @@ def _radiance_tangent(extinction, emission, behind, _, *rest, shape, wrt):
 
 def _radiance_adjoint(extinction, emission, behind, radiance, *rest, shape, wrt):
     """Cotangents of those of (extinction, emission, behind) that `wrt` marks."""
-    geometry, cotangent = rest[:5], rest[5]
+    geometry, shapes = rest[:5], (extinction.shape, emission.shape, behind.shape)
+    size = _chunk_rays(*behind.shape)
+    extinction, emission, radiance, cotangent = _alone(extinction, emission, radiance, rest[5])
     sums = (jnp.zeros_like(extinction) if wrt[0] else None, jnp.zeros_like(emission) if wrt[1] else None)
 
     def chunk(sums, walk, radiance, cotangent):
         def update(state, cell, length):
             passed, remaining, (to_extinction, to_emission) = state  # passed and remaining are times the cotangent
-            u, j = _at(extinction, cell) * length, _at(emission, cell)
-            gain = passed * (length * phi1(u))
+            # Every barrier keeps XLA from computing what is before it once for each of its uses.
+            cell, length = lax.optimization_barrier((cell, length))
+            mu, j = lax.optimization_barrier((_at(extinction, cell), _at(emission, cell)))
+            length = _beside(length, mu)
+            u = mu * length
+            gain, bend, kept = lax.optimization_barrier((length * phi1(u), length * phi2(u), jnp.exp(-u)))
+            shares, gains, flat = [], [], cell.reshape((-1,))  # one scatter of flat indices is the fastest
+            for k in range(3):
+                gained = passed * gain[k]
+                gains.append(gained)
+                shares.append(length[k] * (passed * bend[k] * j[k] - remaining))
+                thin = u[k] < SERIES_BELOW
+                passed = jnp.where(thin, passed - gained * mu[k], kept[k] * passed)
+                remaining = remaining - gained * j[k]
+                passed, remaining = lax.optimization_barrier((passed, remaining))
             if to_extinction is not None:
-                share = length * (passed * (length * phi2(u)) * j - remaining)
-                to_extinction = to_extinction.at[cell].add(share, mode="promise_in_bounds")
+                to_extinction = to_extinction.at[flat].add(jnp.concatenate(shares), mode="promise_in_bounds")
             if to_emission is not None:
-                to_emission = to_emission.at[cell].add(gain, mode="promise_in_bounds")
-            return attenuate(passed, u), remaining - gain * j, (to_extinction, to_emission)
+                to_emission = to_emission.at[flat].add(jnp.concatenate(gains), mode="promise_in_bounds")
+            return passed, remaining, (to_extinction, to_emission)
 
-        passed, _, sums = _fold(walk, update, (cotangent, cotangent * radiance, sums), near_to_far=True)
+        passed, _, sums = _fold_slabs(walk, update, (cotangent, cotangent * radiance, sums))
         return sums, passed
 
-    size = _chunk_rays(*behind.shape)
     sums, passed = _over_chunks(chunk, sums, size, geometry, (radiance, cotangent), shape)
-    return [x for x, wanted in zip((*sums, passed), wrt, strict=True) if wanted]
+    return [x.reshape(s) for x, s, wanted in zip((*sums, passed), shapes, wrt, strict=True) if wanted]
 
 
 def _depth(*operands, shape):
@@ -161,7 +207,7 @@ def _depth(*operands, shape):
 
     def chunk(_, walk):
         def update(depth, cell, length):
-            return depth + length * _at(extinction, cell)
+            return depth + length[:, None] * _at(extinction, cell)
 
         start = jnp.zeros((walk.step.shape[0], extinction.shape[1]), extinction.dtype)
         return (), _fold(walk, update, start, near_to_far=True)
@@ -176,7 +222,7 @@ def _depth_adjoint(*operands, shape):
 
     def chunk(total, walk, cotangent):
         def update(total, cell, length):
-            return total.at[cell].add(length * cotangent, mode="promise_in_bounds")
+            return total.at[cell].add(length[:, None] * cotangent, mode="promise_in_bounds")
 
         return _fold(walk, update, total, near_to_far=True), ()
 

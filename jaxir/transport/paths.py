@@ -6,14 +6,33 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Key
 
-from jaxir.geometry.mesh import closest_hit
+from jaxir.geometry.mesh import any_hit, closest_hit
 from jaxir.geometry.ray import Bundle, Rays
-from jaxir.geometry.shadow import occluded
+from jaxir.geometry.shadow import occluded, occluded_from
 from jaxir.geometry.triangle import Hit
 from jaxir.geometry.walk import Crossings, crossings
+from jaxir.scene.near_source import PointSource
+from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
+from jaxir.scene.source import AbstractDeltaSource, ParallelSource
+from jaxir.transport.around import Around, Leg, Vertex, look_around
+from jaxir.transport.reflection import Reflection, reflection_of
+
+
+class Chain(eqx.Module):
+    """What happened from bounce to bounce, stacked over the vertices of the paths.
+
+    Attributes:
+        vertex: where paths touched the skin; the first is where they left for the eye.
+        around: lights sampled there.
+        leg: how paths went on from there; the last leg of all goes nowhere.
+    """
+
+    vertex: Vertex
+    around: Around | None
+    leg: Leg
 
 
 class Paths(eqx.Module):
@@ -24,9 +43,11 @@ class Paths(eqx.Module):
         hit: where they meet the skin; None without skin.
         normal: unit normal on the side the ray came from [ray, 3], minus the ray's direction where the skin is not
             met; None without skin.
-        lit: whether the skin at the hit sees each parallel source [source, ray]; None without skin or sources.
-        crossings: cells of the plume crossed in front of the skin; None without a plume, or where the walk is
-            repeated at every evaluation instead of stored.
+        lit: whether the skin at the hit sees each delta source [source, ray]; None without skin or such sources.
+        crossings: cells of the plume crossed in front of the skin; None without a gridded plume, or where the
+            walk is repeated at every evaluation instead of stored.
+        around: lights sampled at the hit; None where nothing is sampled.
+        chain: bounces; None without.
     """
 
     rays: Rays
@@ -34,6 +55,8 @@ class Paths(eqx.Module):
     normal: Float[Array, "ray 3"] | None
     lit: Bool[Array, "source ray"] | None
     crossings: Crossings | None
+    around: Around | None = None
+    chain: Chain | None = None
 
     @property
     def length(self) -> Float[Array, " ray"]:
@@ -42,48 +65,107 @@ class Paths(eqx.Module):
             return jnp.full((self.rays.count,), jnp.inf, self.rays.origin.dtype)
         return self.hit.t
 
+    def vertex(self) -> Vertex:
+        """Where the rays meet the skin."""
+        assert self.hit is not None and self.normal is not None
+        return Vertex(self.hit.face, self.hit.point, self.normal, -self.rays.direction, self.lit)
 
-def trace(scene: Scene, rays: Rays | Bundle) -> Paths:
-    """Follow rays to the first face they meet and from there to every parallel source.
+
+def trace(
+    scene: Scene, rays: Rays | Bundle, reflection: Reflection | None = None, key: Key[Array, ""] | None = None
+) -> Paths:
+    """Follow rays to the first face they meet, from there to every delta source, and on as `reflection` asks.
 
     Args:
-        scene: only its geometry and the directions of its sources are used.
+        scene: only its geometry, the places of its sources and, for sampling, its brdf are used.
         rays: unrelated rays, or a bundle (faster).
+        reflection: how light from lights with an extent, from the background and from the skin itself is found;
+            None: `Reflection()` if the scene has area sources, else only delta sources light the skin.
+        key: random key; needed where anything is sampled.
 
     Returns:
-        The paths, without derivatives; plume cells are not stored, see `store_crossings`.
+        The paths, without derivatives, with every sampled direction and its weight; plume cells are not stored, see
+        `store_crossings`.
+
+    Raises:
+        ValueError: something is to be sampled and there is no key.
     """
-    fixed = jax.tree.map(lambda leaf: lax.stop_gradient(leaf) if eqx.is_inexact_array(leaf) else leaf, (scene, rays))
-    return _trace(*fixed)
+    scene, rays = jax.tree.map(
+        lambda leaf: lax.stop_gradient(leaf) if eqx.is_inexact_array(leaf) else leaf, (scene, rays)
+    )
+    return _trace(scene, rays, reflection_of(scene, reflection), key)
 
 
-def _trace(scene: Scene, rays: Rays | Bundle) -> Paths:
+def _trace(scene: Scene, rays: Rays | Bundle, reflection: Reflection | None, key: Array | None) -> Paths:
     single = rays.rays() if isinstance(rays, Bundle) else rays
     if scene.skin is None:
         return Paths(single, None, None, None, None)
     hit = closest_hit(scene.skin.mesh, rays)
-    away = jnp.sum(hit.normal * single.direction, axis=-1, keepdims=True) > 0
-    normal = jnp.where(away, -hit.normal, hit.normal)
-    normal = jnp.where((hit.face >= 0)[:, None], normal, -single.direction)
-    if not scene.sources:
-        return Paths(single, hit, normal, None, None)
-    lit = [_lit(scene, hit, normal, source.direction) for source in scene.sources]
-    return Paths(single, hit, normal, jnp.stack(lit), None)
+    normal = _normal_towards(-single.direction, hit)
+    lit = None
+    if scene.delta_sources:
+        lit = jnp.stack([_lit(scene, hit, normal, source) for source in scene.delta_sources])
+    paths = Paths(single, hit, normal, lit, None)
+    if reflection is None or not (reflection.bounces or reflection.lights(scene)):
+        return paths
+    if key is None:
+        raise ValueError("trace: got no key, expected one: light from area sources, background or bounces is sampled")
+    if reflection.bounces == 0:
+        around, _, _ = look_around(scene, reflection, paths.vertex(), key, None)
+        return eqx.tree_at(lambda p: p.around, paths, around, is_leaf=lambda x: x is None)
+    chain = _bounce(scene, reflection, paths.vertex(), key)
+    return eqx.tree_at(lambda p: p.chain, paths, chain, is_leaf=lambda x: x is None)
 
 
-def _lit(scene: Scene, hit: Hit, normal: Array, travel: Array) -> Array:
-    """Whether each hit faces a parallel source and sees it."""
+def _normal_towards(omega: Array, hit: Hit) -> Array:
+    """Normals on the side of `omega`; `omega` itself on a miss."""
+    away = jnp.sum(hit.normal * omega, axis=-1, keepdims=True) < 0
+    return jnp.where((hit.face >= 0)[:, None], jnp.where(away, -hit.normal, hit.normal), omega)
+
+
+def _lit(scene: Scene, hit: Hit, normal: Array, source: AbstractDeltaSource) -> Array:
+    """Whether each hit faces a source without extent and sees it: all points look along one bundle."""
     assert scene.skin is not None
-    facing = (hit.face >= 0) & (jnp.sum(normal * travel[None, :], axis=-1) < 0)
-    return facing & ~occluded(scene.skin.mesh, hit.point, hit.face, -travel, facing)
+    omega_i, distance = jax.vmap(source.toward)(hit.point)
+    facing = (hit.face >= 0) & (distance > 0) & (jnp.sum(normal * omega_i, axis=-1) > 0)
+    if isinstance(source, ParallelSource):
+        return facing & ~occluded(scene.skin.mesh, hit.point, hit.face, -source.direction, facing)
+    assert isinstance(source, PointSource)
+    return facing & ~occluded_from(scene.skin.mesh, hit.point, hit.face, source.position, facing)
+
+
+def _lit_alone(scene: Scene, vertex: Vertex, source: AbstractDeltaSource) -> Array:
+    """The same for points that are no neighbours."""
+    assert scene.skin is not None
+    omega_i, distance = jax.vmap(source.toward)(vertex.point)
+    facing = (vertex.face >= 0) & (distance > 0) & (jnp.sum(vertex.normal * omega_i, axis=-1) > 0)
+    reach = jnp.where(facing, distance, 0)
+    return facing & ~any_hit(scene.skin.mesh, Rays(vertex.point, omega_i), t_max=reach, leaving=vertex.face)
+
+
+def _bounce(scene: Scene, reflection: Reflection, first: Vertex, key: Array) -> Chain:
+    """Go on from the skin `bounces` times."""
+
+    def step(vertex: Vertex, drawn: tuple[Array, Array]) -> tuple[Vertex, Chain]:
+        around, leg, hit = look_around(scene, reflection, vertex, *drawn)
+        assert leg is not None and hit is not None
+        landed = Vertex(hit.face, hit.point, _normal_towards(-leg.omega, hit), -leg.omega, None)
+        if vertex.lit is not None:
+            lit = jnp.stack([_lit_alone(scene, landed, source) for source in scene.delta_sources])
+            landed = eqx.tree_at(lambda v: v.lit, landed, lit, is_leaf=lambda x: x is None)
+        return landed, Chain(vertex, around, leg)
+
+    count = reflection.bounces + 1
+    go_on = jnp.arange(count, dtype=jnp.int32) < reflection.bounces
+    return lax.scan(step, first, (jax.random.split(key, count), go_on))[1]
 
 
 def store_crossings(scene: Scene, paths: Paths) -> Paths:
-    """Paths with the crossed cells stored, so that evaluations need not walk the grid again.
+    """Paths with the crossed cells of a gridded plume stored, so that evaluations need not walk the grid again.
 
     Worth its memory when the same paths are evaluated many times, as in a fit.
     """
-    if scene.plume is None:
+    if not isinstance(scene.plume, GridPlume):
         return paths
     grid = lax.stop_gradient(scene.plume.grid)
     return eqx.tree_at(

@@ -63,6 +63,18 @@ def tilted(local):
     return jnp.asarray(local) @ frame_around(jnp.asarray(NORMAL, jnp.asarray(local).dtype))
 
 
+@eqx.filter_jit
+def rings_of(brdf, omega_o, normal, cos, angle):
+    """Mean of the brdf over azimuth on rings of directions around the normal [ring, node]."""
+
+    def ring(c):
+        sine = jnp.sqrt(1 - c * c)
+        local = jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), jnp.full(angle.shape, c)], axis=-1)
+        return jax.vmap(lambda w: brdf.eval(w, omega_o, normal))(local @ frame_around(normal)).mean(axis=0)
+
+    return jax.lax.map(ring, cos)
+
+
 @pytest.mark.parametrize("cos_o", [1.0, 0.6, 0.15])
 def test_emission_and_reflection_add_up(name, cos_o, x64):
     """Furnace on one surface, int brdf cos = reflectance = 1 - emissivity, by quadrature on the hemisphere."""
@@ -73,15 +85,7 @@ def test_emission_and_reflection_add_up(name, cos_o, x64):
     rings, sectors = 1200, 720
     cos = np.sqrt((np.arange(rings) + 0.5) / rings)
     angle = (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
-    frame = np.asarray(frame_around(normal))
-
-    @jax.jit
-    def ring(c):
-        sine = jnp.sqrt(1 - c * c)
-        omega = jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), jnp.full(sectors, c)], axis=-1) @ frame
-        return jax.vmap(lambda w: brdf.eval(w, omega_o, normal))(omega).mean(axis=0)
-
-    total = np.pi * np.asarray(jax.lax.map(ring, jnp.asarray(cos))).mean(axis=0)
+    total = np.pi * np.asarray(rings_of(brdf, omega_o, normal, jnp.asarray(cos), jnp.asarray(angle))).mean(axis=0)
     rho = np.asarray(brdf.reflectance(jnp.asarray(cos_o)))
     assert np.all(rho >= 0) and np.all(rho <= 1)
     np.testing.assert_allclose(1 - rho, brdf.emissivity(jnp.asarray(cos_o)), atol=1e-14)
@@ -100,6 +104,17 @@ def test_density_is_that_of_the_samples(name):
     assert total == pytest.approx(1, abs=0.02)
 
 
+@eqx.filter_jit
+def draw(brdf, u, omega_o, normal):
+    omega_i = jax.vmap(lambda u: brdf.sample(u, omega_o, normal))(u)
+    return omega_i, jax.vmap(lambda w: brdf.pdf(w, omega_o, normal))(omega_i)
+
+
+@eqx.filter_jit
+def values(brdf, omega_i, omega_o, normal):
+    return jax.vmap(lambda i, o: brdf.eval(i, o, normal))(omega_i, omega_o)
+
+
 def test_samples_of_grazing_views_are_directions(name):
     """Unit length, on the upper side except for what facets lose, even as omega_o touches the surface."""
     brdf = BRDFS[name]().at(jnp.asarray(FACE))
@@ -107,9 +122,8 @@ def test_samples_of_grazing_views_are_directions(name):
     for cos in (1.0, 1e-3, 1e-7, 0.0):
         omega_o = towards(cos)
         u = jnp.asarray([[0.0, 0.0], [0.999999, 0.999999], [0.5, 0.0], [0.2, 0.7], [0.99, 0.25]])
-        omega_i = jax.vmap(lambda u, o=omega_o: brdf.sample(u, o, normal))(u)
+        omega_i, pdf = draw(brdf, u, omega_o, normal)
         np.testing.assert_allclose(np.linalg.norm(omega_i, axis=-1), 1, atol=2e-6)
-        pdf = jax.vmap(lambda w, o=omega_o: brdf.pdf(w, o, normal))(omega_i)
         assert np.all(np.isfinite(pdf))
         if name not in LOSES and cos > 0:  # no side is the upper one of a view along the surface
             assert np.all(np.asarray(omega_i)[:, 2] >= -1e-6)
@@ -127,8 +141,8 @@ def test_exchange_of_directions(name, x64):
     if name in ("paint", "paint glossy", "paint wide", "paint per node", "per face"):
         mirrored = pair[:, 0] * jnp.asarray([[-1.0, -1.0, 1.0]])
         pair = jnp.stack([pair[:, 0], mirrored], axis=1)
-    evaluate = jax.jit(jax.vmap(lambda i, o: brdf.eval(i, o, normal)))
-    np.testing.assert_allclose(evaluate(pair[:, 0], pair[:, 1]), evaluate(pair[:, 1], pair[:, 0]), rtol=1e-9)
+    forth, back = values(brdf, pair[:, 0], pair[:, 1], normal), values(brdf, pair[:, 1], pair[:, 0], normal)
+    np.testing.assert_allclose(forth, back, rtol=1e-9)
 
 
 def test_diffuse_part_of_paint_is_reciprocal(x64):
@@ -140,24 +154,29 @@ def test_diffuse_part_of_paint_is_reciprocal(x64):
     np.testing.assert_allclose(forth, 0.5 / np.pi, rtol=1e-12)
 
 
-def test_values_and_gradients_are_finite_everywhere(name, precision):
-    """Grazing, backscatter, specular, opposite and tangential directions; in parameters and directions."""
-    brdf = BRDFS[name]().at(jnp.asarray(FACE))
-    dtype = precision
-    normal = jnp.asarray([0, 0, 1], dtype)
-    cos = [1.0, 0.5, 1e-4, 1e-12, 0.0]
-    views = [towards(c) for c in cos] + [towards(c, 0.3 + np.pi) for c in cos] + [-towards(c) for c in (1.0, 0.2)]
-    views = jnp.asarray(np.array(views), dtype)
+@eqx.filter_jit
+def all_slopes(brdf, views, cos_o):
+    """Values and slopes for every pair of directions; one compilation for brdfs of one structure."""
     here, kept = eqx.partition(brdf, eqx.is_inexact_array)
+    normal = jnp.asarray([0, 0, 1], views.dtype)
 
     def total(here, omega_i, omega_o, cos_o):
         whole = eqx.combine(here, kept)
         return jnp.sum(whole.eval(omega_i, omega_o, normal)) + jnp.sum(whole.emissivity(cos_o))
 
     each = jax.vmap(jax.value_and_grad(total, argnums=(0, 1, 2, 3)), in_axes=(None, 0, None, None))
-    every = jax.jit(jax.vmap(each, in_axes=(None, None, 0, 0)))
-    cos_o = jnp.clip(jnp.abs(views[:, 2]), 0, 1)
-    for leaf in jax.tree.leaves(every(here, views, views, cos_o)):
+    return jax.vmap(each, in_axes=(None, None, 0, 0))(here, views, views, cos_o)
+
+
+def test_values_and_gradients_are_finite_everywhere(name, precision):
+    """Grazing, backscatter, specular, opposite and tangential directions; in parameters and directions."""
+    if precision == "float64" and name in LOSES | {"paint per node", "per face"}:
+        pytest.skip("float32 is the harder of the two")
+    brdf = BRDFS[name]().at(jnp.asarray(FACE))
+    cos = [1.0, 0.5, 1e-4, 1e-12, 0.0]
+    views = [towards(c) for c in cos] + [towards(c, 0.3 + np.pi) for c in cos] + [-towards(c) for c in (1.0, 0.2)]
+    views = jnp.asarray(np.array(views), precision)
+    for leaf in jax.tree.leaves(all_slopes(brdf, views, jnp.clip(jnp.abs(views[:, 2]), 0, 1))):
         assert np.all(np.isfinite(leaf))
 
 

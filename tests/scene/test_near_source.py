@@ -8,6 +8,7 @@ from chi_square import p_value
 
 from jaxir._arrays import enforce
 from jaxir.geometry.form_factor import disc_vector
+from jaxir.optics.band import LWIR, MWIR, gray_nodes
 from jaxir.scene.near_source import DiscSource, PointSource, SphereSource
 from jaxir.scene.sky import ElevationTable
 
@@ -61,7 +62,7 @@ def test_irradiance_from_a_disc_is_its_form_factor(x64):
 
 def test_point_source_falls_with_the_square(precision):
     lamp = PointSource([0.0, 0.0, 2.0], [8.0, 4.0])
-    np.testing.assert_allclose(lamp.irradiance(jnp.zeros(3)), [2.0, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(lamp.beam(gray_nodes((MWIR, LWIR)), jnp.zeros(3)), [2.0, 1.0], rtol=1e-6)
     omega_i, distance = lamp.toward(jnp.zeros(3))
     np.testing.assert_allclose(omega_i, [0, 0, 1])
     assert distance == 2
@@ -79,9 +80,11 @@ def test_awkward_points_give_no_light_and_finite_gradients(where, precision):
         {"at": [0, 0, 1.0], "inside": [0.1, 0, 1.1], "behind": [0, 0, 2.0], "edge-on": [3.0, 0, 1]}[where]
     )
 
+    nodes = gray_nodes((MWIR,))
+
     def light(lamp, disc, ball, point):
         u = jnp.asarray([0.3, 0.6])
-        total = jnp.sum(lamp.irradiance(point)) + jnp.sum(lamp.toward(point)[0])
+        total = jnp.sum(lamp.beam(nodes, point)) + jnp.sum(lamp.toward(point)[0])
         for source in (disc, ball):
             drawn = source.sample(u, point)
             met = source.meet(point, jnp.asarray([0.0, 0.6, 0.8]))
@@ -95,7 +98,7 @@ def test_awkward_points_give_no_light_and_finite_gradients(where, precision):
     if where in ("behind", "edge-on", "at"):
         assert disc.sample(jnp.asarray([0.3, 0.6]), point).pdf == 0
     if where == "at":
-        assert np.all(np.asarray(lamp.irradiance(point)) == 0)
+        assert np.all(np.asarray(lamp.beam(nodes, point)) == 0)
 
 
 def test_bad_lights_are_refused():

@@ -4,7 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxir.transport.mis import mis_weight
+from jaxir.transport import mis
+
+mis_weight = jax.jit(mis.mis_weight, static_argnums=(0, 2))
 
 
 def test_weights_share_every_direction(precision):

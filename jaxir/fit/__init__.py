@@ -1,0 +1,18 @@
+"""Parameters of a scene from measured intensities and images, with their uncertainty, over optimistix."""
+
+from jaxir.fit.measurement import Measurement as Measurement
+from jaxir.fit.measurement import measured_image as measured_image
+from jaxir.fit.measurement import measured_intensity as measured_intensity
+from jaxir.fit.parameter import Bounds as Bounds
+from jaxir.fit.parameter import Factor as Factor
+from jaxir.fit.parameter import Leaf as Leaf
+from jaxir.fit.parameter import PartValue as PartValue
+from jaxir.fit.parameter import part_emissivity as part_emissivity
+from jaxir.fit.parameter import part_temperature as part_temperature
+from jaxir.fit.result import Fit as Fit
+from jaxir.fit.result import Uncertainty as Uncertainty
+from jaxir.fit.solve import expected_uncertainty as expected_uncertainty
+from jaxir.fit.solve import fit as fit
+from jaxir.fit.solve import prepare as prepare
+from jaxir.fit.solve import sensitivity as sensitivity
+from jaxir.fit.solve import solve as solve

@@ -1,0 +1,291 @@
+"""What a fit may change: leaves of a scene, with bounds and the coordinate in which the solver moves.
+
+The solver works in an unbounded coordinate z in which a unit step is a natural one:
+
+    bounded on both sides   x = lower + (upper - lower) / (1 + e^{-z})      (logit)
+    bounded below           x = lower + e^z                                 (log)
+    unbounded               x = x_start + scale z
+
+so a fit never leaves its bounds and a damped step means the same for an emissivity and for a temperature.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxir._arrays import as_float
+from jaxir.scene.scene import Scene
+
+Where = Callable[[Scene], Any]
+
+
+class Bounds(eqx.Module):
+    """Limits of a parameter and the coordinate that keeps it inside.
+
+    Attributes:
+        lower: -inf for none.
+        upper: inf for none; a finite upper bound needs a finite lower one.
+        scale: natural step of an unbounded parameter, in its unit.
+    """
+
+    lower: float = eqx.field(static=True)
+    upper: float = eqx.field(static=True)
+    scale: float = eqx.field(static=True)
+
+    def __init__(self, lower: float = -math.inf, upper: float = math.inf, scale: float = 1.0):
+        """Check and keep; the limits are structure, so other limits compile anew."""
+        self.lower, self.upper, self.scale = float(lower), float(upper), float(scale)
+        if not self.lower < self.upper or not (self.scale > 0 and math.isfinite(self.scale)):
+            raise ValueError(f"Bounds: got {lower}, {upper}, scale {scale}; expected lower < upper and scale > 0")
+        if math.isinf(self.lower) and not math.isinf(self.upper):
+            raise ValueError(f"Bounds: got an upper bound {upper} without a lower one, expected both or only the lower")
+
+    def to_coordinate(self, value: Float[Array, " k"]) -> Float[Array, " k"]:
+        """The unbounded coordinate z of values inside the bounds (z = 0 for unbounded ones: they start there)."""
+        if math.isinf(self.lower):
+            return jnp.zeros_like(value)
+        if math.isinf(self.upper):
+            return jnp.log(value - self.lower)
+        share = (value - self.lower) / (self.upper - self.lower)
+        return jnp.log(share) - jnp.log1p(-share)
+
+    def to_value(self, z: Float[Array, " k"], start: Float[Array, " k"]) -> Float[Array, " k"]:
+        """The value at coordinate z; `start` is where an unbounded parameter has z = 0. Differentiable in z."""
+        if math.isinf(self.lower):
+            return start + self.scale * z
+        if math.isinf(self.upper):
+            return self.lower + jnp.exp(z)
+        return self.lower + (self.upper - self.lower) * jax.nn.sigmoid(z)
+
+
+class AbstractParameter(eqx.Module):
+    """A named vector of numbers that a fit may change in a scene."""
+
+    name: eqx.AbstractVar[str]
+    unit: eqx.AbstractVar[str]
+    bounds: eqx.AbstractVar[Bounds]
+
+    @abc.abstractmethod
+    def read(self, scene: Scene) -> Float[Array, " k"]:
+        """Its value in a scene [k]."""
+
+    @abc.abstractmethod
+    def write(self, scene: Scene, value: Float[Array, " k"]) -> Scene:
+        """The scene with another value. Differentiable in `value`."""
+
+
+class Leaf(AbstractParameter):
+    """Every number of one leaf of the scene.
+
+    Attributes:
+        name: how results are labelled.
+        where: picks the leaf, as in `equinox.tree_at`; one array.
+        bounds: limits.
+        unit: for the table.
+    """
+
+    name: str = eqx.field(static=True)
+    where: Where = eqx.field(static=True)
+    bounds: Bounds
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, name: str, where: Where, bounds: Bounds | None = None, unit: str = ""):
+        """Keep; unbounded by default."""
+        self.name, self.where, self.unit = name, where, unit
+        self.bounds = Bounds() if bounds is None else bounds
+
+    def read(self, scene: Scene) -> Float[Array, " k"]:
+        """See `AbstractParameter.read`."""
+        return self.where(scene).reshape(-1)
+
+    def write(self, scene: Scene, value: Float[Array, " k"]) -> Scene:
+        """See `AbstractParameter.write`."""
+        return eqx.tree_at(self.where, scene, value.reshape(self.where(scene).shape))
+
+
+class PartValue(AbstractParameter):
+    """One value of a per-face leaf [face or 1, ...] for all faces of one part of the skin.
+
+    Attributes:
+        name: how results are labelled.
+        where: picks the leaf.
+        part: the part's name, among `Skin.part_names`.
+        bounds: limits.
+        unit: for the table.
+    """
+
+    name: str = eqx.field(static=True)
+    where: Where = eqx.field(static=True)
+    part: str = eqx.field(static=True)
+    bounds: Bounds
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, name: str, where: Where, part: str, bounds: Bounds | None = None, unit: str = ""):
+        """Keep; unbounded by default."""
+        self.name, self.where, self.part, self.unit = name, where, part, unit
+        self.bounds = Bounds() if bounds is None else bounds
+
+    def _faces(self, scene: Scene) -> Array:
+        if scene.skin is None or self.part not in scene.skin.part_names:
+            names = () if scene.skin is None else scene.skin.part_names
+            raise ValueError(f"{self.name}: got part {self.part!r}, expected one of {names}")
+        return scene.skin.part == scene.skin.part_names.index(self.part)
+
+    def read(self, scene: Scene) -> Float[Array, " k"]:
+        """See `AbstractParameter.read`: the value of the part's first face."""
+        leaf = self.where(scene)
+        first = jnp.argmax(self._faces(scene))
+        return leaf[first if leaf.shape[0] > 1 else 0].reshape(-1)
+
+    def write(self, scene: Scene, value: Float[Array, " k"]) -> Scene:
+        """See `AbstractParameter.write`."""
+        leaf = self.where(scene)
+        faces = self._faces(scene)
+        spread = jnp.broadcast_to(leaf, faces.shape + leaf.shape[1:])
+        mine = faces.reshape(faces.shape + (1,) * (leaf.ndim - 1))
+        return eqx.tree_at(self.where, scene, jnp.where(mine, value.reshape((1,) + leaf.shape[1:]), spread))
+
+
+class Factor(AbstractParameter):
+    """One factor, 1 at the start, on a leaf of the scene as it stands: scales a field and keeps its form.
+
+    Attributes:
+        name: how results are labelled.
+        where: picks the leaf.
+        bounds: limits; positive by default.
+        unit: for the table.
+    """
+
+    name: str = eqx.field(static=True)
+    where: Where = eqx.field(static=True)
+    bounds: Bounds
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, name: str, where: Where, bounds: Bounds | None = None, unit: str = ""):
+        """Keep; positive by default."""
+        self.name, self.where, self.unit = name, where, unit
+        self.bounds = Bounds(0.0) if bounds is None else bounds
+
+    def read(self, scene: Scene) -> Float[Array, " k"]:
+        """See `AbstractParameter.read`: 1."""
+        return jnp.ones((1,), self.where(scene).dtype)
+
+    def write(self, scene: Scene, value: Float[Array, " k"]) -> Scene:
+        """See `AbstractParameter.write`."""
+        leaf = self.where(scene)
+        return eqx.tree_at(self.where, scene, leaf * value.reshape((1,) * leaf.ndim))
+
+
+def part_emissivity(part: str) -> PartValue:
+    """Emissivity of a part of a `Lambert` skin, between 0 and 1."""
+    return PartValue(f"emissivity of {part}", _emissivity, part, Bounds(0.0, 1.0))
+
+
+def part_temperature(part: str) -> PartValue:
+    """Temperature of a part of the skin, positive."""
+    return PartValue(f"temperature of {part}", _temperature, part, Bounds(0.0), "K")
+
+
+def _emissivity(scene: Scene) -> Array:
+    assert scene.skin is not None
+    return scene.skin.brdf.hemispherical_emissivity  # type: ignore[attr-defined]
+
+
+def _temperature(scene: Scene) -> Array:
+    assert scene.skin is not None
+    return scene.skin.temperature
+
+
+class Coordinates(eqx.Module):
+    """All parameters of a fit as one vector z.
+
+    Attributes:
+        parameters: in order.
+        start: the scene at the start.
+        sizes: how many numbers each parameter has.
+    """
+
+    parameters: tuple[AbstractParameter, ...]
+    start: Scene
+    sizes: tuple[int, ...] = eqx.field(static=True)
+
+    def __init__(self, parameters: Any, start: Scene):
+        """Read the start; names must differ and start values lie inside the bounds."""
+        self.parameters = tuple(parameters)
+        self.start = start
+        names = [p.name for p in self.parameters]
+        if not names or len(set(names)) != len(names):
+            raise ValueError(f"parameters: got names {names}, expected at least one and no name twice")
+        self.sizes = tuple(p.read(start).shape[0] for p in self.parameters)
+        for p in self.parameters:
+            value = p.read(start)
+            inside = (value > p.bounds.lower) & (value < p.bounds.upper)
+            if not isinstance(inside, jax.core.Tracer) and not bool(inside.all()):
+                raise ValueError(
+                    f"{p.name}: got start {float(value[jnp.argmin(inside)]):.6g}, "
+                    f"expected it inside its bounds ({p.bounds.lower}, {p.bounds.upper})"
+                )
+
+    @property
+    def count(self) -> int:
+        """How many numbers are fitted."""
+        return sum(self.sizes)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """A label for every number."""
+        return tuple(
+            p.name if size == 1 else f"{p.name}[{i}]"
+            for p, size in zip(self.parameters, self.sizes, strict=True)
+            for i in range(size)
+        )
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """A unit for every number."""
+        return tuple(p.unit for p, size in zip(self.parameters, self.sizes, strict=True) for _ in range(size))
+
+    def _pieces(self, vector: Array) -> list[Array]:
+        ends = [sum(self.sizes[: i + 1]) for i in range(len(self.sizes))]
+        return [vector[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
+
+    def origin(self) -> Float[Array, " p"]:
+        """z of the start."""
+        return jnp.concatenate([p.bounds.to_coordinate(p.read(self.start)) for p in self.parameters])
+
+    def values(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
+        """Physical values at z. Differentiable."""
+        pieces = zip(self.parameters, self._pieces(z), strict=True)
+        return jnp.concatenate([p.bounds.to_value(piece, p.read(self.start)) for p, piece in pieces])
+
+    def scene(self, values: Float[Array, " p"]) -> Scene:
+        """The scene with physical values. Differentiable."""
+        scene = self.start
+        for parameter, piece in zip(self.parameters, self._pieces(values), strict=True):
+            scene = parameter.write(scene, piece)
+        return scene
+
+    def slope(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
+        """dx/dz of every number at z."""
+        return jax.jvp(self.values, (z,), (jnp.ones_like(z),))[1]
+
+
+def at_values(coordinates: Coordinates, values: Any) -> Float[Array, " p"]:
+    """z of given physical values [p] inside the bounds."""
+    vector = as_float(values, "values")
+    pieces = coordinates._pieces(vector)
+    z = []
+    for p, piece in zip(coordinates.parameters, pieces, strict=True):
+        if math.isinf(p.bounds.lower):
+            z.append((piece - p.read(coordinates.start)) / p.bounds.scale)
+        else:
+            z.append(p.bounds.to_coordinate(piece))
+    return jnp.concatenate(z)

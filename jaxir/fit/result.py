@@ -1,0 +1,157 @@
+"""What a fit found and how well the data determine it."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from jaxir.scene.scene import Scene
+
+UNDETERMINED = 0.5  # standard deviation in natural steps (half an e-fold) from which a combination counts as unknown
+
+
+class Uncertainty(eqx.Module):
+    """Linearised uncertainty of parameters from the Jacobian of the residuals, in units of their noise.
+
+    With J = d residual / dz in the natural coordinate z and its singular values s_k and right vectors v_k, the
+    covariance in z is sum_k v_k v_k^T / s_k^2, and D C D in physical units with D = dx/dz. A combination v_k whose
+    standard deviation 1 / s_k exceeds `UNDETERMINED` natural steps is one that the data do not determine.
+
+    Attributes:
+        labels: one for every number.
+        units: likewise.
+        value: where it was linearised [p].
+        standard_deviation: [p]; inf where the data (and priors) say nothing.
+        covariance: [p, p]; entries of undetermined numbers are inf.
+        correlation: [p, p], of the determined part.
+        singular_values: of J, descending [p].
+        combinations: rows v_k, in the order of the singular values [p, p].
+    """
+
+    labels: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] = eqx.field(static=True)
+    value: Float[Array, " p"]
+    standard_deviation: Float[Array, " p"]
+    covariance: Float[Array, "p p"]
+    correlation: Float[Array, "p p"]
+    singular_values: Float[Array, " p"]
+    combinations: Float[Array, "p p"]
+
+    def undetermined(self) -> list[str]:
+        """The combinations that the data do not determine, each as a sum of natural steps, worst last."""
+        said = []
+        for s, row in zip(np.asarray(self.singular_values), np.asarray(self.combinations), strict=True):
+            if s * UNDETERMINED >= 1:
+                continue
+            big = np.argsort(-np.abs(row))[:4]
+            terms = [f"{row[i]:+.2f} {self.labels[i]}" for i in big if abs(row[i]) > 0.1]
+            spread = f"{1 / s:.3g}" if s > 0 else "unbounded"
+            said.append(f"{' '.join(terms)} (standard deviation {spread} natural steps)")
+        return said
+
+    def __str__(self) -> str:
+        """A table of values with standard deviations, and what is not determined."""
+        width = max(len(label) for label in self.labels)
+        lines = [f"{'parameter':<{width}}  {'value':>12}  {'std. dev.':>10}  unit"]
+        rows = zip(self.labels, np.asarray(self.value), np.asarray(self.standard_deviation), self.units, strict=True)
+        lines += [f"{label:<{width}}  {value:12.6g}  {spread:10.3g}  {unit}" for label, value, spread, unit in rows]
+        lines += [f"not determined: {text}" for text in self.undetermined()]
+        return "\n".join(lines)
+
+
+def uncertainty(
+    labels: tuple[str, ...],
+    units: tuple[str, ...],
+    value: Float[Array, " p"],
+    slope: Float[Array, " p"],
+    jacobian: Float[Array, "row p"],
+) -> Uncertainty:
+    """`Uncertainty` from the Jacobian in natural coordinates; host side, in double precision.
+
+    Args:
+        labels: [p].
+        units: [p].
+        value: physical values [p].
+        slope: dx/dz [p].
+        jacobian: d residual / dz, residuals in units of their standard deviation [row, p].
+
+    Returns:
+        The uncertainty.
+    """
+    j = np.asarray(jacobian, np.float64)
+    count = j.shape[1]
+    j = np.concatenate([j, np.zeros((max(0, count - j.shape[0]), count))])
+    _, s, v = np.linalg.svd(j, full_matrices=False)
+    blind = s <= 30 * np.finfo(np.asarray(jacobian).dtype).eps * max(s[0], 1e-300)
+    s = np.where(blind, 0.0, s)
+    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > 0)
+    known = (v.T * inverse**2) @ v
+    unknown = np.abs(v[blind]).max(axis=0, initial=0.0) > 1e-3
+    d = np.asarray(slope, np.float64)
+    covariance = d[:, None] * known * d[None, :]
+    spread = np.sqrt(np.diag(covariance))
+    pairs = spread[:, None] * spread[None, :]
+    correlation = np.divide(covariance, pairs, out=np.zeros_like(covariance), where=pairs > 0)
+    covariance[unknown, :] = covariance[:, unknown] = np.inf
+    return Uncertainty(
+        labels,
+        units,
+        value,
+        jnp.asarray(np.where(unknown, np.inf, spread), value.dtype),
+        jnp.asarray(covariance, value.dtype),
+        jnp.asarray(correlation, value.dtype),
+        jnp.asarray(s, value.dtype),
+        jnp.asarray(v, value.dtype),
+    )
+
+
+class Fit(eqx.Module):
+    """The result of a fit.
+
+    Attributes:
+        scene: with the fitted values.
+        uncertainty: values, standard deviations, covariance, singular values, what is not determined.
+        residual: (prediction - measured) / standard deviation of every measured number, one array per measurement
+            [row, band].
+        chi_squared: sum of squared residuals, priors included, without the robust loss [].
+        degrees_of_freedom: measured numbers and priors less fitted numbers.
+        sampling_shift: one draw of the error that the finite number of rays puts into each value, from the two
+            independent halves of the rays [p]; compare it with the standard deviation.
+        sampling_chi_squared: by how much the sampling error of the prediction raises `chi_squared` [].
+        steps: of the solver, for the start that was best.
+        starts: chi-squared reached from every start [start].
+        solver_result: optimistix's result code of the best start.
+    """
+
+    scene: Scene
+    uncertainty: Uncertainty
+    residual: tuple[Float[Array, "row band"], ...]
+    chi_squared: Float[Array, ""]
+    degrees_of_freedom: int = eqx.field(static=True)
+    sampling_shift: Float[Array, " p"]
+    sampling_chi_squared: Float[Array, ""]
+    steps: int = eqx.field(static=True)
+    starts: Float[Array, " start"]
+    solver_result: optx.RESULTS
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver says it converged."""
+        return bool(self.solver_result == optx.RESULTS.successful)
+
+    def __str__(self) -> str:
+        """A table, the goodness of fit and every warning."""
+        shift = np.abs(np.asarray(self.sampling_shift))
+        spread = np.asarray(self.uncertainty.standard_deviation)
+        ratio = float(np.max(np.where(np.isfinite(spread) & (spread > 0), shift / np.where(spread > 0, spread, 1), 0)))
+        lines = [
+            str(self.uncertainty),
+            f"chi-squared {float(self.chi_squared):.4g} for {self.degrees_of_freedom} degrees of freedom, "
+            f"of which {float(self.sampling_chi_squared):.2g} from the finite number of rays",
+            f"rays put at most {ratio:.2g} standard deviations into a value",
+            f"solver: {'converged' if self.converged else optx.RESULTS[self.solver_result]} after {self.steps} steps",
+        ]
+        return "\n".join(lines)

@@ -1,0 +1,210 @@
+"""How fast is the exact march through a grid, against a scalar native walk on the same core?
+
+Three grids, each seen by an orthographic camera whose rays come in tiles of 16 x 16 pixels: the paper's ramp medium
+(800 x 200 x 40 cells), a plume (600 x 48 x 48) and a thick cube (400 x 400 x 400, 64 million cells). The reference is
+a scalar cell-by-cell walk (Amanatides and Woo, Eurographics 1987) compiled on the spot by numba. All times are CPU
+seconds, interleaved medians of one process on one core; the study runs once as it is and once with the process setting
+XLA_FLAGS=--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536.
+"""
+
+import argparse
+import csv
+import json
+import math
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxir
+from jaxir.geometry.camera import fitted_camera
+from jaxir.transport.march import march
+
+SETTING = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536"
+GRIDS = {  # cells, size [m], aspect (azimuth, elevation) [deg], optical depth across the smallest side
+    "ramp": ((800, 200, 40), (4.0, 1.0, 0.2), (60.0, 20.0), 0.05),
+    "plume": ((600, 48, 48), (30.0, 1.2, 1.2), (110.0, 15.0), 0.5),
+    "thick": ((400, 400, 400), (2.0, 2.0, 2.0), (35.0, 25.0), 20.0),
+}
+PIXELS, ROUNDS = 256, 7
+
+
+def native_walk():
+    """The reference, compiled: radiance of every ray, and the number of cells crossed."""
+    from numba import njit
+
+    @njit(fastmath=True)
+    def walk(low, spacing, shape, extinction, emission, origin, direction, radiance):
+        crossed = 0
+        step, stride, at = np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64)
+        nxt, delta = np.zeros(3, np.float32), np.zeros(3, np.float32)
+        for ray in range(origin.shape[0]):
+            t, leave = np.float32(0), np.float32(np.inf)
+            for a in range(3):
+                p, v = origin[ray, a] - low[a], direction[ray, a]
+                if v != 0:
+                    t0, t1 = -p / v, (shape[a] * spacing[a] - p) / v
+                    t, leave = max(t, min(t0, t1)), min(leave, max(t0, t1))
+                elif p < 0 or p >= shape[a] * spacing[a]:
+                    leave = np.float32(-1)
+            total, passed = np.float32(0), np.float32(1)
+            if t < leave:
+                cell = 0
+                for a in range(3):
+                    p, v = origin[ray, a] - low[a], direction[ray, a]
+                    at[a] = min(max(int(math.floor((p + t * v) / spacing[a])), 0), shape[a] - 1)
+                    stride[a] = shape[1] * shape[2] if a == 0 else (shape[2] if a == 1 else 1)
+                    cell += at[a] * stride[a]
+                    step[a] = 1 if v > 0 else -1
+                    delta[a] = abs(spacing[a] / v) if v != 0 else np.float32(np.inf)
+                    nxt[a] = ((at[a] + (1 if v > 0 else 0)) * spacing[a] - p) / v if v != 0 else np.float32(np.inf)
+                while True:
+                    a = 0 if nxt[0] <= nxt[1] and nxt[0] <= nxt[2] else (1 if nxt[1] <= nxt[2] else 2)
+                    length = max(min(nxt[a], leave) - t, np.float32(0))
+                    mu, gone = extinction[cell], -math.expm1(-extinction[cell] * length)
+                    total += passed * (emission[cell] / mu * gone if mu > 0 else emission[cell] * length)
+                    passed -= passed * gone
+                    crossed += 1
+                    t = nxt[a]
+                    at[a] += step[a]
+                    if at[a] < 0 or at[a] >= shape[a] or t >= leave:
+                        break
+                    nxt[a] += delta[a]
+                    cell += step[a] * stride[a]
+            radiance[ray] = total
+        return crossed
+
+    return walk
+
+
+def medium(name: str):
+    """Grid, extinction and emission [nx, ny, nz, 1] of one case, and the rays of its camera."""
+    shape, size, aspect, depth = GRIDS[name]
+    low, spacing = -0.5 * np.array(size), np.array(size) / shape
+    x, y, z = (low[a] + spacing[a] * (np.arange(shape[a], dtype=np.float32) + 0.5) for a in range(3))
+    if name == "ramp":
+        field = np.broadcast_to((x - low[0])[:, None, None], shape)
+    elif name == "plume":
+        field = np.exp(-(y[:, None] ** 2 + z[None, :] ** 2) / 0.1)[None] * (0.2 + np.exp(-(x + 15) / 8))[:, None, None]
+    else:
+        field = 1 + 0.5 * np.sin(7 * x)[:, None, None] * np.cos(5 * y)[None, :, None] * np.cos(6 * z)[None, None, :]
+    extinction = (field * (depth / min(size) / field.mean())).astype(np.float32)[..., None]
+    source = (1 + np.cos(3 * x) ** 2).astype(np.float32)[:, None, None, None]
+    reach = math.sqrt(sum(s * s for s in size))
+    grid = jaxir.Grid(low, spacing, shape)
+    camera = fitted_camera(*aspect, grid.corners(), (PIXELS, PIXELS))
+    tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
+    centre = jnp.full((tile.shape[0], 256, 2), 0.5)
+    rays = camera.bundle(camera.screen(tile, centre).reshape(-1, 2), jnp.asarray(0.51 * reach)).rays()
+    return grid, jnp.asarray(extinction), jnp.asarray(extinction * source), rays
+
+
+def measure(names: list[str]) -> list[dict]:
+    """One row per grid."""
+    walk, rows = native_walk(), []
+    for name in names:
+        grid, extinction, emission, rays = medium(name)
+        far, dark = jnp.full(rays.count, jnp.inf), jnp.zeros((rays.count, 1))
+        value = jax.jit(lambda mu, j, grid=grid, rays=rays, far=far, dark=dark: march(grid, mu, j, rays, far, dark))
+        pulled = jax.jit(
+            jax.value_and_grad(
+                lambda mu, j, grid=grid, rays=rays, far=far, dark=dark: march(grid, mu, j, rays, far, dark).sum(),
+                (0, 1),
+            )
+        )
+        host = [np.asarray(v) for v in (grid.origin, grid.spacing)]
+        fields = [np.asarray(v).ravel() for v in (extinction, emission)]
+        lines = [np.asarray(v) for v in (rays.origin, rays.direction)]
+        native = np.zeros(rays.count, np.float32)
+
+        def run_native(host=host, grid=grid, fields=fields, lines=lines, native=native):
+            return walk(host[0], host[1], np.array(grid.shape), *fields, *lines, native)
+
+        runs = {
+            "native": run_native,
+            "value": lambda value=value, a=extinction, b=emission: jax.block_until_ready(value(a, b)),
+            "gradient": lambda pulled=pulled, a=extinction, b=emission: jax.block_until_ready(pulled(a, b)),
+        }
+        times: dict[str, list[float]] = {label: [] for label in runs}
+        crossed = int(run_native())
+        got = np.asarray(runs["value"]())[:, 0]
+        error = float(np.abs(got - native).max() / native.max())
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        runs["gradient"]()
+        for _ in range(ROUNDS):
+            for label, run in runs.items():
+                began = time.process_time()
+                run()
+                times[label].append(time.process_time() - began)
+        median = {label: float(np.median(t)) for label, t in times.items()}
+        rows.append(
+            {
+                "grid": name,
+                "cells": "x".join(str(n) for n in grid.shape),
+                "rays": rays.count,
+                "crossings": crossed,
+                "native_ns": 1e9 * median["native"] / crossed,
+                "value_ns": 1e9 * median["value"] / crossed,
+                "value_and_gradient_ns": 1e9 * median["gradient"] / crossed,
+                "value_over_native": median["value"] / median["native"],
+                "gradient_over_value": median["gradient"] / median["value"],
+                "largest_difference": error,
+                "memory_GB": memory,
+            }
+        )
+        del grid, extinction, emission, rays, value, pulled, fields, runs
+    return rows
+
+
+def main(argv: list[str]) -> None:
+    parser = argparse.ArgumentParser(prog="python -m studies.march_speed", description=__doc__.split("\n")[0])
+    parser.add_argument("--grids", nargs="+", choices=list(GRIDS), default=list(GRIDS))
+    parser.add_argument("--out", type=Path, default=Path("studies/out/march_speed"), help="folder (%(default)s)")
+    parser.add_argument("--here", action="store_true", help="only this process, as it is; prints JSON")
+    chosen = parser.parse_args(argv)
+    if chosen.here:
+        print(json.dumps(measure(chosen.grids)))
+        return
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for setting in ("", SETTING):
+        environment = {**os.environ, "XLA_FLAGS": setting}
+        command = [sys.executable, "-m", "studies.march_speed", "--here", "--grids", *chosen.grids]
+        if hasattr(os, "sched_setaffinity"):
+            core = str(max(os.sched_getaffinity(0)))
+            command = [sys.executable, "-c", f"import os, sys; os.sched_setaffinity(0, {{{core}}}); "
+                       "from studies.march_speed import main; main(sys.argv[1:])", *command[3:]]  # fmt: skip
+        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+        if done.returncode:
+            raise ValueError(done.stderr.strip().splitlines()[-1])
+        name = "65536" if setting else "default"
+        rows += [{"loop_threshold": name, **row} for row in json.loads(done.stdout.splitlines()[-1])]
+    with open(chosen.out / "march_speed.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    print("| loop threshold | grid | native | value | value + gradient | value / native | (value + gradient) / value |")
+    print("|---|---|---|---|---|---|---|")
+    for row in rows:
+        print(
+            f"| {row['loop_threshold']} | {row['cells']} | {row['native_ns']:.1f} | {row['value_ns']:.1f} | "
+            f"{row['value_and_gradient_ns']:.1f} | {row['value_over_native']:.2f} | {row['gradient_over_value']:.1f} |"
+        )
+    worst = [max(row[key] for row in rows) for key in ("value_over_native", "gradient_over_value")]
+    print(
+        f"ns per cell crossed on one core: the march takes at most {worst[0]:.2f} x a native walk, with the gradient "
+        f"to all cells at most {worst[1]:.1f} x that; see {chosen.out}/"
+    )
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1:])
+    except ValueError as error:
+        sys.exit(f"march_speed: {error}")

@@ -1,0 +1,164 @@
+"""How fast does the light of a disc on a plate converge? Table 1 and Fig. 8 of Yu et al. (2021).
+
+A plate of 1 m2 and reflectance .5 under a disc of radius 1 m and radiance 100 W m-2 sr-1. The paper does not say where
+the disc is; 1.8 m above the plate, 1.2 m aside along both edges, gives its numbers, once an image is clipped at 12.75
+and truncated to 8 bits, as images on a screen are. Errors are relative root mean squares over pixels against the
+closed form.
+"""
+
+import argparse
+import csv
+import sys
+import time
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from tqdm import tqdm
+
+import jaxir
+from jaxir.geometry.ray import Rays
+from jaxir.transport.evaluate import evaluate, radiometry
+from jaxir.transport.paths import trace
+from studies import charts  # noqa: F401  (chooses the backend)
+
+NODES = jaxir.gray_nodes((jaxir.MWIR,))
+HEIGHT, OFFSET, RADIUS, RADIANCE, REFLECTANCE = 1.8, 1.2, 1.0, 100.0, 0.5
+RAYS = (1, 10, 100, 1000, 10000)
+PAPER = {"brdf": (1.143, 0.938, 0.320, 0.1035, 0.0364), "both": (0.494, 0.163, 0.0522, 0.01785, 0.00852)}
+EVEN = (1, 4, 16, 64, 256, 1024, 4096)
+SAMPLES_AT_ONCE = 1 << 18
+
+
+def scene() -> jaxir.Scene:
+    corners = [[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]]
+    mesh = jaxir.Mesh(corners, [[0, 1, 2], [0, 2, 3]])
+    disc = jaxir.DiscSource([OFFSET, OFFSET, HEIGHT], [0.0, 0.0, -1.0], RADIUS, RADIANCE)
+    return jaxir.Scene(jaxir.Skin(mesh, 3.0, jaxir.Lambert(1 - REFLECTANCE)), sources=(disc,))
+
+
+def closed_form(points: np.ndarray) -> np.ndarray:
+    """Reflected radiance by the form factor of a disc (Howell, B-13), in double precision."""
+    a2, h2, r2 = np.sum((points - OFFSET) ** 2, axis=-1), HEIGHT**2, RADIUS**2
+    factor = 0.5 * (1 - (a2 + h2 - r2) / np.sqrt((a2 + h2 + r2) ** 2 - 4 * r2 * a2))
+    return REFLECTANCE * RADIANCE * factor
+
+
+@eqx.filter_jit
+def radiance(world: jaxir.Scene, rays: Rays, method: jaxir.Reflection, key: jax.Array) -> jax.Array:
+    return evaluate(radiometry(world, NODES), trace(world, rays, method, key), method)[:, 0]
+
+
+def image(world: jaxir.Scene, points: np.ndarray, method: jaxir.Reflection, key: jax.Array) -> tuple[np.ndarray, float]:
+    """Radiance at every point, and CPU seconds without compilation."""
+    size = int(np.clip(SAMPLES_AT_ONCE // max(sum(method.direct.counts()), 1), 16, len(points)))
+    parts, seconds = [], 0.0
+    for begin in range(0, len(points), size):
+        own = points[begin : begin + size]
+        origin = jnp.asarray(np.column_stack([own, np.full(len(own), 0.5)]), jnp.float32)
+        rays = Rays(origin, jnp.broadcast_to(jnp.asarray([0.0, 0.0, -1.0]), origin.shape))
+        one = jax.random.fold_in(key, begin)
+        if begin == 0:
+            radiance(world, rays, method, one).block_until_ready()
+        started = time.process_time()
+        parts.append(np.asarray(radiance(world, rays, method, one), float))
+        seconds += time.process_time() - started
+    return np.concatenate(parts), seconds
+
+
+def rrmse(got: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((got / expected - 1) ** 2)))
+
+
+def quantised(value: np.ndarray) -> np.ndarray:
+    """Clipped at 12.75 and truncated to 8 bits."""
+    return np.floor(np.minimum(value, 12.75) / 12.75 * 255) / 255 * 12.75
+
+
+def methods(count: int, even: bool) -> dict[str, jaxir.Reflection]:
+    both = jaxir.MultipleImportance(count, count)
+    if even:
+        return {
+            "both, Sobol": jaxir.Reflection(both, sampler=jaxir.Sobol()),
+            "light, Sobol": jaxir.Reflection(jaxir.LightSampling(count), sampler=jaxir.Sobol()),
+        }
+    return {"brdf": jaxir.Reflection(jaxir.BrdfSampling(count)), "both": jaxir.Reflection(both)}
+
+
+def measure(pixels: int) -> tuple[list[dict], float]:
+    """One row per method and number of rays; the error of the closed form in float32."""
+    x = (np.arange(pixels) + 0.5) / pixels - 0.5
+    points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+    world, expected, rows = scene(), closed_form(points), []
+    cases = [(n, False) for n in RAYS] + [(n, True) for n in EVEN]
+    for count, even in tqdm(cases, desc="skin_convergence", delay=5, leave=False):
+        for name, method in methods(count, even).items():
+            got, seconds = image(world, points, method, jax.random.key(count))
+            rows.append(
+                {
+                    "method": name,
+                    "rays": count,
+                    "rrmse": rrmse(got, expected),
+                    "rrmse_8_bit": rrmse(quantised(got), expected),
+                    "paper": PAPER[name][RAYS.index(count)] if name in PAPER else "",
+                    "seconds": seconds,
+                }
+            )
+    exact, _ = image(world, points, jaxir.Reflection(jaxir.ClosedForm()), jax.random.key(0))
+    return rows, rrmse(exact, expected)
+
+
+def chart(path: Path, rows: list[dict]) -> None:
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), sharey=True, layout="constrained")
+    for name in dict.fromkeys(row["method"] for row in rows):
+        own = [row for row in rows if row["method"] == name]
+        for axis, against in zip(axes, ("rays", "seconds"), strict=True):
+            line = axis.plot([r[against] for r in own], [100 * r["rrmse"] for r in own], "o-", ms=4, label=name)
+        if name in PAPER:
+            axes[0].plot(RAYS, 100 * np.array(PAPER[name]), "x", color=line[0].get_color(), label=f"{name}, paper")
+            axes[0].plot(
+                RAYS, [100 * r["rrmse_8_bit"] for r in own], ":", color=line[0].get_color(), label=f"{name}, 8 bits"
+            )
+    axes[0].set(xlabel="samples of each kind per pixel", ylabel="relative RMS error [%]")
+    axes[1].set(xlabel="CPU seconds for the image, compilation apart")
+    for axis in axes:
+        axis.set(xscale="log", yscale="log")
+        axis.grid(alpha=0.3, which="both")
+    axes[0].legend(fontsize=8)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+def main(argv: list[str]) -> None:
+    parser = argparse.ArgumentParser(prog="python -m studies.skin_convergence", description=__doc__.split("\n")[0])
+    parser.add_argument("--pixels", type=int, default=64, help="rows and columns (%(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("studies/out/skin_convergence"), help="folder (%(default)s)")
+    chosen = parser.parse_args(argv)
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    rows, exact = measure(chosen.pixels)
+    with (chosen.out / "skin_convergence.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0])
+        writer.writeheader()
+        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    chart(chosen.out / "skin_convergence.png", rows)
+    print("rays     brdf sampling [%]: paper  8 bit  float     both [%]: paper  8 bit  float")
+    for count in RAYS:
+        b, m = (next(r for r in rows if r["method"] == name and r["rays"] == count) for name in ("brdf", "both"))
+        cells = [100 * r[k] for r in (b, m) for k in ("paper", "rrmse_8_bit", "rrmse")]
+        widths = (25, 6, 6, 19, 6, 6)
+        print(f"{count:6d} " + " ".join(f"{cell:{width}.4g}" for cell, width in zip(cells, widths, strict=True)))
+    even = {row["rays"]: row["rrmse"] for row in rows if row["method"] == "light, Sobol"}
+    print(
+        f"relative RMS error: {100 * even[64]:.2g} % at 64 and {100 * even[1024]:.2g} % at 1024 Sobol samples of the "
+        f"light, {100 * exact:.1g} % in closed form; see {chosen.out}/"
+    )
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1:])
+    except ValueError as error:
+        sys.exit(f"skin_convergence: {error}")

@@ -1,0 +1,230 @@
+"""Fits recover planted truths, their standard deviations are those of theory, and what is not determined is said."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+
+import jaxir
+from jaxir.fit import (
+    Bounds,
+    Factor,
+    Leaf,
+    expected_uncertainty,
+    fit,
+    measured_image,
+    measured_intensity,
+    part_emissivity,
+    part_temperature,
+    prepare,
+    sensitivity,
+    solve,
+)
+from tests.scenes import box_mesh, gray_box
+
+PIXEL = jaxir.orthographic_camera(0.0, 0.0, 0.1, (1, 1))
+TEMPERATURE = Factor("temperature", lambda s: s.plume.temperature)
+DEPTH = Factor("depth", lambda s: s.plume.gas.coefficient)
+VIEWS = [(a, e) for a in (0, 40, 90, 160, 230, 300) for e in (-30, 10, 50)]
+BANDS = (jaxir.MWIR, jaxir.LWIR)
+
+
+def slab(temperature, depth):
+    return jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), depth, (1, 1, 1), temperature))
+
+
+def looked_at(scene, bands, relative=0.01):
+    radiance = np.asarray(jaxir.render(scene, PIXEL, bands, samples=2).radiance)
+    return measured_image(PIXEL, bands, radiance, relative * radiance)
+
+
+# relative standard deviations of (T, optical depth) for 1 % noise per band, from the linearised problem in closed form
+@pytest.mark.parametrize(
+    ("temperature", "depth", "bands", "expected"),
+    [
+        (1000.0, 1.0, (jaxir.MWIR, jaxir.LWIR), (0.00738, 0.0388)),
+        (1000.0, 1.0, (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR), (0.00311, 0.0240)),
+        (1000.0, 5.0, (jaxir.MWIR, jaxir.LWIR), (0.00738, 0.666)),
+    ],
+)
+def test_standard_deviations_of_a_gray_slab(temperature, depth, bands, expected):
+    scene = slab(temperature, depth)
+    got = expected_uncertainty(scene, [TEMPERATURE, DEPTH], [looked_at(scene, bands)])
+    np.testing.assert_allclose(got.standard_deviation, expected, rtol=0.01)
+    assert bool(got.undetermined()) == (depth > 2)
+    assert ("depth" in str(got.undetermined())) == (depth > 2)
+
+
+def test_one_band_cannot_tell_temperature_from_depth():
+    scene = slab(1000.0, 0.01)
+    got = expected_uncertainty(scene, [TEMPERATURE, DEPTH], [looked_at(scene, (jaxir.MWIR,))])
+    assert len(got.undetermined()) == 1
+    assert np.isinf(got.standard_deviation).all()
+
+
+@pytest.mark.parametrize("start", [(0.34, 3.0), (3.0, 0.34), (0.5, 0.34), (2.0, 3.0)])
+def test_a_slab_is_found_from_far_off(start):
+    truth = slab(1000.0, 1.0)
+    problem = prepare(slab(1000.0 * start[0], start[1]), [TEMPERATURE, DEPTH], [looked_at(truth, BANDS)])
+    found = solve(problem)
+    assert found.converged and found.steps <= 30
+    np.testing.assert_allclose(found.uncertainty.value, [1 / start[0], 1 / start[1]], rtol=2e-3)
+    assert float(found.chi_squared) < 1e-2
+
+
+def test_one_sigma_covers_two_thirds():
+    truth = slab(1000.0, 1.0)
+    measured = looked_at(truth, (jaxir.SWIR, *BANDS))
+    problem = prepare(truth, [TEMPERATURE, DEPTH], [measured])
+    rng = np.random.default_rng(3)
+    value, spread = np.asarray(measured.value), np.asarray(measured.standard_deviation)
+    inside = []
+    for _ in range(200):
+        found = solve(problem.with_values([value + spread * rng.normal(size=value.shape)])).uncertainty
+        inside.append(np.abs(np.asarray(found.value) - 1) < np.asarray(found.standard_deviation))
+    share = np.mean(inside, axis=0)
+    assert ((0.58 < share) & (share < 0.78)).all()  # .683 +- 3 binomial standard deviations of 200 draws
+
+
+def body(emissivity, temperature):
+    part = np.repeat(np.arange(3), 4)
+    brdf = jaxir.Lambert(np.repeat(np.asarray(emissivity, float), 4))
+    return jaxir.Scene(
+        jaxir.Skin(
+            box_mesh((2, 1, 1)), np.repeat(np.asarray(temperature, float), 4), brdf, part, ("front", "side", "top")
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def survey():
+    truth = body([0.3, 0.6, 0.9], [300, 320, 350])
+    intensity = np.asarray(jaxir.signature(truth, VIEWS, BANDS, shape=(32, 32)).intensity)
+    spread = 0.01 * intensity
+    noisy = intensity + spread * np.random.default_rng(0).normal(size=intensity.shape)
+    return truth, noisy, spread
+
+
+PARTS = [part_emissivity(p) for p in ("front", "side", "top")] + [part_temperature(p) for p in ("front", "side", "top")]
+TRUTH = np.array([0.3, 0.6, 0.9, 300, 320, 350])
+
+
+@pytest.mark.parametrize("solver", [None, optx.BFGS(rtol=1e-5, atol=1e-5)], ids=["levenberg_marquardt", "bfgs"])
+def test_emissivities_and_temperatures_of_parts(survey, solver):
+    _, noisy, spread = survey
+    start = body([0.6, 0.6, 0.6], [330, 330, 330])
+    measured = measured_intensity(start, VIEWS, BANDS, noisy, spread, shape=(32, 32))
+    found = fit(start, PARTS, [measured], solver=solver, max_steps=200)
+    off = (np.asarray(found.uncertainty.value) - TRUTH) / np.asarray(found.uncertainty.standard_deviation)
+    assert (np.abs(off) < 3.5).all()
+    assert found.degrees_of_freedom == 30 and 10 < float(found.chi_squared) < 60
+    assert not found.uncertainty.undetermined()
+    assert "emissivity of front" in str(found) and "converged" in str(found)
+    np.testing.assert_allclose(found.scene.skin.temperature[0], found.uncertainty.value[3], rtol=1e-6)
+
+
+def test_starts_priors_and_a_robust_loss(survey):
+    _, noisy, spread = survey
+    spoiled = noisy.copy()
+    spoiled[2, 0] *= 3.0  # one gross error
+    start = body([0.6, 0.6, 0.6], [330, 330, 330])
+    measured = measured_intensity(start, VIEWS, BANDS, spoiled, spread, shape=(32, 32))
+    prior = {"emissivity of front": (0.3, 0.02)}
+    starts = [[0.2, 0.8, 0.5, 250, 400, 300]]
+    robust = fit(start, PARTS, [measured], robust=2.0, priors=prior, starts=starts, max_steps=100)
+    squares = fit(start, PARTS, [measured], priors=prior, max_steps=100)
+    assert robust.starts.shape == (2,)
+    assert robust.degrees_of_freedom == squares.degrees_of_freedom == 31
+
+    def off(found):
+        return np.abs((np.asarray(found.uncertainty.value) - TRUTH) / np.asarray(found.uncertainty.standard_deviation))
+
+    assert off(robust).max() < 4 < off(squares).max()
+
+
+def test_an_image_fits_a_field_of_many_numbers_in_reverse_mode():
+    rng = np.random.default_rng(5)
+    shape = (1, 12, 10)
+    field = 900 + 300 * rng.uniform(size=shape)
+    grid = jaxir.Grid((-0.5, -0.6, -0.5), (1.0, 0.1, 0.1), shape)
+
+    def scene(temperature):
+        return jaxir.Scene(plume=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.5)))
+
+    camera = jaxir.orthographic_camera(0.0, 0.0, 0.1, (10, 12))
+    image = np.asarray(jaxir.render(scene(field), camera, jaxir.MWIR, samples=2).radiance)
+    measured = measured_image(camera, jaxir.MWIR, image, 0.01 * image.mean())
+    parameter = Leaf("temperature", lambda s: s.plume.temperature, Bounds(0.0), "K")
+    found = fit(scene(1000.0), [parameter], [measured], solver=optx.BFGS(rtol=1e-6, atol=1e-6), max_steps=300)
+    assert found.uncertainty.value.shape == (120,)
+    off = (np.asarray(found.uncertainty.value) - field.ravel()) / np.asarray(found.uncertainty.standard_deviation)
+    assert np.abs(off).max() < 1
+
+
+def test_sensitivity_is_the_derivative_of_the_sum(x64):
+    truth = body([0.3, 0.6, 0.9], [300, 320, 350])
+    views = VIEWS[:3]
+    measured = measured_intensity(truth, views, BANDS, np.ones((3, 2)), 1.0, shape=(32, 32))
+    by_emissivity, by_temperature = sensitivity(truth, measured, "LWIR")
+
+    exact = [jax.jacrev(_face_sum)(truth.skin.temperature, truth, a, e) for a, e in views]
+    np.testing.assert_allclose(by_temperature.sum(), np.sum(exact), rtol=5e-3)
+    black = jaxir.band_radiance(truth.skin.temperature, jaxir.gray_nodes((jaxir.LWIR,)))[:, 0]
+    assert by_emissivity.shape == black.shape and (by_emissivity >= 0).all()
+    seen = np.asarray(by_emissivity) > 0
+    slope = jax.jvp(
+        lambda t: jaxir.band_radiance(t, jaxir.gray_nodes((jaxir.LWIR,)))[:, 0],
+        (truth.skin.temperature,),
+        (jnp.ones(12),),
+    )[1]
+    emissivity = np.repeat([0.3, 0.6, 0.9], 4)
+    np.testing.assert_allclose(
+        np.asarray(by_temperature / by_emissivity)[seen], np.asarray(emissivity * slope / black)[seen], rtol=1e-9
+    )
+
+
+def _face_sum(temperature, scene, azimuth, elevation):
+    changed = eqx.tree_at(lambda s: s.skin.temperature, scene, temperature)
+    return jaxir.unoccluded_intensity(changed, azimuth, elevation, jaxir.LWIR)[0]
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda m: fit(slab(900, 1), [], [m]), "parameters: got names"),
+        (lambda m: fit(slab(900, 1), [DEPTH, DEPTH], [m]), "no name twice"),
+        (lambda m: fit(slab(900, 1), [DEPTH], []), "measurements: got none"),
+        (lambda m: fit(slab(900, 1), [DEPTH], [m], robust=0.0), "robust: got 0.0"),
+        (lambda m: fit(slab(900, 1), [DEPTH], [m], priors={"x": (1, 1)}), "priors: got 'x'"),
+        (lambda m: fit(slab(900, 1), [DEPTH], [m], priors={"depth": (1, 0)}), "priors: got standard deviation 0"),
+        (lambda m: fit(slab(900, 1), [DEPTH], [m], starts=[[-1.0]]), "starts: got depth outside its bounds"),
+        (lambda m: fit(slab(900, 1), [DEPTH], [m], starts=[1.0]), r"starts: got shape \(1,\)"),
+        (
+            lambda m: fit(slab(900, 1), [Factor("d", DEPTH.where, Bounds(2.0, 3.0))], [m]),
+            "d: got start 1, .*inside its bounds",
+        ),
+        (
+            lambda m: fit(slab(900, 1), [TEMPERATURE, DEPTH], [looked_at(slab(900, 1), jaxir.MWIR)]),
+            "got 1 measured numbers and priors for 2 parameters",
+        ),
+        (lambda m: measured_image(PIXEL, BANDS, np.ones((1, 1, 3)), 1.0), r"measurement.value: got shape \(1, 1, 3\)"),
+        (lambda m: measured_image(PIXEL, BANDS, np.ones((1, 1, 2)), 0.0), "standard_deviation: got 0.0"),
+        (lambda m: measured_image(PIXEL, BANDS, np.full((1, 1, 2), np.nan), 1.0), "measurement.value: got nan"),
+        (lambda m: measured_intensity(slab(900, 1), [(0, 0)], BANDS, [[1.0]], 1.0), "measurement.value: got shape"),
+        (lambda m: Bounds(1.0, 0.0), "Bounds: got 1.0, 0.0"),
+        (lambda m: Bounds(upper=1.0), "got an upper bound 1.0 without a lower"),
+        (lambda m: fit(body([0.5] * 3, [300] * 3), [part_emissivity("tail")], [m]), "got part 'tail', expected one of"),
+    ],
+)
+def test_wrong_input_is_named(build, message):
+    with pytest.raises(ValueError, match=message):
+        build(looked_at(slab(900.0, 1.0), BANDS))
+
+
+def test_a_parameter_that_touches_nothing_in_view_is_named():
+    truth = body([0.3, 0.6, 0.9], [300, 320, 350])
+    measured = measured_intensity(truth, [(0, 0)], BANDS, [[1.0, 1.0]], 0.1, shape=(16, 16))
+    with pytest.raises(ValueError, match="emissivity of top changes nothing in the measured views"):
+        fit(truth, [part_emissivity("front"), part_emissivity("top")], [measured])

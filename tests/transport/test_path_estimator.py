@@ -1,0 +1,144 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir._arrays import as_float
+from jaxir.geometry.walk import Crossings
+from jaxir.optics.layer import thinning
+from jaxir.transport.crossing_sum import crossing_sum
+from tests.scenes import gray_box
+
+SAMPLED = (jaxir.PointIntegration(), jaxir.LineIntegration(), jaxir.CombinedIntegration())
+CELLS = 8
+MAP = 10.0 ** np.arange(-8, 5)
+
+
+def media(depths, samples=1):
+    """Lists, extinction, emission of homogeneous, ramp, hot-core and cold-front media for every depth and sample."""
+    x = (np.arange(CELLS) + 0.5) / CELLS
+    shapes = [np.ones(CELLS), x, np.ones(CELLS), np.ones(CELLS)]
+    sources = [np.ones(CELLS), np.ones(CELLS), np.exp(-32 * (x - 0.5) ** 2) + 0.01, np.where(x < 0.5, 0.01, 1.0)]
+    length = 0.25
+    mu = np.stack([d * s / (s.sum() * length) for s in shapes for d in depths])
+    j = mu * np.stack([b for b in sources for _ in depths])
+    cell = np.repeat(np.arange(mu.size, dtype=np.int32).reshape(mu.shape), samples, axis=0)
+    lists = Crossings(jnp.asarray(cell), as_float(np.full(cell.shape, length)))
+    return lists, as_float(mu.reshape(-1, 1)), as_float(j.reshape(-1, 1))
+
+
+@jax.jit
+def sample(path, lists, mu, j, behind, u):
+    """Radiance, and its derivative along the logarithm of the absorption."""
+    return jax.jvp(lambda m, e: path.radiance(lists, m, e, behind, u), (mu, j), (mu, j))
+
+
+@jax.jit
+def pulled(path, lists, mu, j, behind, u):
+    return jax.grad(lambda s: path.radiance(lists, s * mu, s * j, behind, u).sum())(jnp.ones_like(mu[0, 0]))
+
+
+@jax.jit
+def variance(path, lists, mu, j, behind):
+    return path.variance(lists, mu, j, behind)
+
+
+@jax.jit
+def exact(lists, mu, j, behind):
+    return jax.jvp(lambda m, e: crossing_sum(lists, m, e, behind), (mu, j), (mu, j))
+
+
+@pytest.mark.parametrize("glow", [0.0, 0.3])
+@pytest.mark.parametrize("path", SAMPLED, ids=lambda p: type(p).__name__)
+def test_mean_variance_and_gradient_are_those_of_the_closed_forms(path, glow, x64):
+    """z-tests of mean and gradient, and the sample variance within 4.5 of its standard errors (chi-square bounds)."""
+    depths, samples = np.array([0.04, 0.3, 1.0, 3.0]), 40000
+    lists, mu, j = media(depths, samples)
+    few = media(depths)[0]
+    rays = lists.cell.shape[0]
+    behind, u = jnp.full((rays, 1), glow), jax.random.uniform(jax.random.key(7), (rays,))
+    got, slope = (np.asarray(x).reshape(-1, samples) for x in sample(path, lists, mu, j, behind, u))
+    want, want_slope = (np.asarray(x)[:, 0] for x in exact(few, mu, j, behind[: len(got)]))
+    spread = np.asarray(variance(path, few, mu, j, behind[: len(got)]))[:, 0]
+
+    error = np.sqrt(spread / samples)
+    assert (np.abs(got.mean(1) - want) < 4.5 * error).all()
+    assert (error < 0.05 * want).all()
+    square = (got - want[:, None]) ** 2
+    off = np.abs(square.mean(1) - spread) / (square.std(1) / samples**0.5)
+    assert off.max() < 4.5
+    assert np.median(square.std(1) / samples**0.5 / spread) < 0.03  # the bounds are narrow
+    slope_error = slope.std(1) / samples**0.5
+    assert (np.abs(slope.mean(1) - want_slope) < 4.5 * slope_error).all()
+    assert np.median(slope_error / np.abs(want_slope)) < 0.1
+    np.testing.assert_allclose(pulled(path, lists, mu, j, behind, u), slope.sum(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("path", SAMPLED, ids=lambda p: type(p).__name__)
+def test_variance_of_a_homogeneous_path(path, precision):
+    """O11: point 1 / (e^t - 1), line (2 - 2 (1 + t) e^-t) / (1 - e^-t)^2 - 1, combined (1 - e^-t) / 3."""
+    t = 10.0 ** np.arange(-8, 2)
+    lists, mu, j = media(t)
+    dark = as_float(np.zeros((lists.cell.shape[0], 1)))
+    spread = np.asarray(variance(path, lists, mu, j, dark))[: len(t), 0]
+    p = -np.expm1(-t)
+    tiny = t < 1e-2
+    line = np.where(tiny, t / 3, (2 - 2 * (1 + t) * np.exp(-t)) / p**2 - 1)
+    want = {"Point": 1 / np.expm1(t), "Line": line, "Combined": p / 3}[type(path).__name__[: -len("Integration")]]
+    rtol = np.where(tiny, 4e-3, 2e-5 if precision == "float32" else 1e-9)
+    assert (np.abs(spread / p**2 / want - 1) < rtol).all()
+    assert (np.abs(np.asarray(path.relative_variance(as_float(t))) / want - 1) < rtol).all()
+
+
+def test_point_beats_combined_beyond_1_5668(x64):
+    point, _, combined = SAMPLED
+    assert float(point.relative_variance(1.566) - combined.relative_variance(1.566)) > 0
+    assert float(point.relative_variance(1.568) - combined.relative_variance(1.568)) < 0
+
+
+def test_failure_map_in_single_precision_equals_double():
+    """Exact sum, its derivative, and every closed-form variance: within 2e-5 of the radiance (its square)."""
+    found = []
+    for wide in (False, True):
+        with jax.enable_x64(wide):
+            lists, mu, j = media(MAP)
+            behind = as_float(np.full((lists.cell.shape[0], 1), 0.0))
+            value, slope = exact(lists, mu, j, behind)
+            spread = [variance(path, lists, mu, j, behind) for path in SAMPLED]
+            found.append([np.asarray(x, float) for x in (value, slope, *spread)])
+    (value, slope, *spread), (true, true_slope, *true_spread) = found
+    assert np.abs(value / true - 1).max() < 2e-5
+    assert (np.abs(slope - true_slope) / true).max() < 2e-5
+    for ours, theirs in zip(spread, true_spread, strict=True):
+        assert (np.abs(ours - theirs) / (theirs + true**2)).max() < 2e-5
+
+
+@pytest.mark.parametrize("path", (jaxir.CellSum(), *SAMPLED), ids=lambda p: type(p).__name__)
+def test_no_nan_anywhere_in_the_failure_map(path, precision):
+    lists, mu, j = media(np.concatenate([[0.0, 1e-38, 1e30], MAP]), samples=16)
+    rays = lists.cell.shape[0]
+    u = jnp.tile(as_float(np.concatenate([[0.0, 1 - 6e-8], np.arange(14) / 14])), rays // 16)
+    for glow in (0.0, 1.0):
+        behind = as_float(np.full((rays, 1), glow))
+        value, slope = sample(path, lists, mu, j, behind, u)
+        results = (value, slope, pulled(path, lists, mu, j, behind, u), variance(path, lists, mu, j, behind))
+        assert all(np.isfinite(x).all() for x in results)
+        assert (np.asarray(results[3]) >= 0).all()
+
+
+def test_thinning_is_the_difference_of_the_phis(x64):
+    u = np.array([1e-3, 0.1, 0.4999, 0.5, 2.0, 30.0])
+    np.testing.assert_allclose(thinning(as_float(u)), (1 - (1 + u) * np.exp(-u)) / u**2, rtol=1e-9)
+    assert float(thinning(as_float(0.0))) == 0.5
+
+
+def test_render_takes_an_estimator():
+    scene = jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), 1.0))
+    camera = jaxir.orthographic_camera(0.0, 0.0, 0.1, (8, 8))
+    image = jaxir.render(scene, camera, jaxir.MWIR, samples=8)
+    noisy = jaxir.render(scene, camera, jaxir.MWIR, samples=8, path=jaxir.CombinedIntegration())
+    off = float(noisy.radiant_intensity()[0] - image.radiant_intensity()[0])
+    error = float(noisy.intensity_error()[0])
+    assert abs(off) < 4 * error and error < 0.1 * float(image.radiant_intensity()[0])
+    assert float(image.intensity_error()[0]) < 1e-3 * error
