@@ -4,11 +4,12 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
+import tests.checked  # noqa: F401, the hook looks it up by name
+
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-with install_import_hook("jaxir", "beartype.beartype"):
-    import jaxir  # noqa: F401
+install_import_hook("jaxir", "tests.checked.checked")  # for the whole run: modules imported later are checked too
 
 
 @pytest.fixture(params=["float32", "float64"])
