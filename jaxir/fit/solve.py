@@ -48,10 +48,14 @@ class Problem(eqx.Module):
             for o in self.observations
         )
 
+    def prior(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
+        """Residuals of the priors, 0 where there is none."""
+        return (self.coordinates.values(z) - self.prior_mean) * self.prior_weight
+
     def residual(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
         """All residuals, priors last. Differentiable in both modes."""
         data = [half.mean(axis=0).reshape(-1) for half in self.halves(z)]
-        return jnp.concatenate([*data, (self.coordinates.values(z) - self.prior_mean) * self.prior_weight])
+        return jnp.concatenate([*data, self.prior(z)])
 
     def approach(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
         """Residuals on a logarithmic scale, equal to `residual` near the solution and far flatter away from it.
@@ -68,7 +72,7 @@ class Problem(eqx.Module):
             ratio = 1 + r * deviation / jnp.where(value > 0, value, 1)
             usable = (value > 3 * deviation) & (ratio > 0)
             data.append(jnp.where(usable, jnp.log(jnp.where(usable, ratio, 1)) * value / deviation, r).reshape(-1))
-        return jnp.concatenate([*data, (self.coordinates.values(z) - self.prior_mean) * self.prior_weight])
+        return jnp.concatenate([*data, self.prior(z)])
 
     def with_values(self, values: Sequence[Any]) -> Problem:
         """The same problem, rays included, with other measured values (one array per measurement, shaped as given)."""
@@ -170,7 +174,7 @@ def solve(
     jacobian, halves = _linearised(problem, z)
     spread = uncertainty(coordinates.labels, coordinates.units, coordinates.values(z), coordinates.slope(z), jacobian)
     residual = tuple(half.mean(axis=0) for half in halves)
-    prior = (coordinates.values(z) - problem.prior_mean) * problem.prior_weight
+    prior = problem.prior(z)
     squares = jnp.sum(jnp.concatenate([r.reshape(-1) for r in (*residual, prior)]) ** 2)
     error = jnp.concatenate([*((h[0] - h[1]).reshape(-1) / 2 for h in halves), jnp.zeros_like(prior)])
     return Fit(

@@ -21,7 +21,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
-from jaxir.optics.band import SECOND_RADIATION, Nodes
+from jaxir.optics.band import SECOND_RADIATION, Nodes, wavelength_to_wavenumber
 
 FIRST_RADIATION = 1.1910429723971884e-8  # 2 h c^2 [W m-2 sr-1 / (cm-1)^4], exact since 2019 (CODATA 2018)
 STEFAN = FIRST_RADIATION / SECOND_RADIATION**4  # K [W m-2 sr-1 K-4]; sigma = pi^5 K / 15
@@ -53,7 +53,7 @@ def spectral_radiance_wavelength(
     wavelength: Float[Array, "*batch"], temperature: Float[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
     """Blackbody radiance per wavelength [W m-2 sr-1 / um] at `wavelength` [um]; see `spectral_radiance`."""
-    wavenumber = 1e4 / wavelength
+    wavenumber = wavelength_to_wavenumber(wavelength)
     return spectral_radiance(wavenumber, temperature) * wavenumber / wavelength
 
 

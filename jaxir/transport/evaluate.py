@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float, Key
 
 from jaxir._vector import dot
+from jaxir.geometry.mesh import face_normal
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import Nodes
 from jaxir.optics.planck import band_radiance
@@ -234,11 +235,10 @@ def emitted_radiance(optical: Radiometry, vertex: Vertex) -> Float[Array, "ray n
 def unoccluded_radiance(optical: Radiometry, toward: Float[Array, " 3"]) -> Float[Array, "face node"]:
     """Radiance leaving the front of every face in one direction if no face hides or shades another [face, node]."""
     assert optical.scene.skin is not None
-    vector = optical.scene.skin.mesh.area_vectors()
-    square = jnp.sum(vector * vector, axis=-1, keepdims=True)
-    normal = vector * lax.rsqrt(jnp.where(square > 0, square, 1))
-    face = jnp.arange(vector.shape[0], dtype=jnp.int32)
+    mesh = optical.scene.skin.mesh
+    face = jnp.arange(mesh.count, dtype=jnp.int32)
+    normal = face_normal(mesh, face)
     sources = optical.scene.sources
-    lit = jnp.ones((len(sources), vector.shape[0]), bool) if sources else None
-    centre = jnp.mean(optical.scene.skin.mesh.corners(), axis=1)
+    lit = jnp.ones((len(sources), mesh.count), bool) if sources else None
+    centre = jnp.mean(mesh.corners(), axis=1)
     return _leaving(optical, Vertex(face, centre, normal, jnp.broadcast_to(toward, normal.shape), lit), None, None)
