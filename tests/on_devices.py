@@ -1,14 +1,16 @@
 """What one process of a computation on many devices does: `python -m tests.on_devices OUT [INDEX PORT]`.
 
-An image on two devices of one process, or a signature as one of two processes.
+An image on two devices of one process, or a signature and a sweep as one of two processes.
 """
 
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
 
 import jaxir
+from jaxir.io.sweep import sweep
 from tests.scenes import plate
 
 VIEWS = ((0.0, 0.0), (20.0, 10.0), (70.0, -3.0))
@@ -42,3 +44,6 @@ if __name__ == "__main__":
     mesh = jax.sharding.Mesh(np.array(jax.devices()), ("devices",))
     assert mesh.size == 2
     np.savez(sys.argv[1], *(image(mesh) if len(sys.argv) == 2 else table(mesh)))
+    if len(sys.argv) > 2:
+        folder = Path(sys.argv[1]).parent / "sweep"
+        sweep(folder, scene(), VIEWS, jaxir.LWIR, shape=(24, 24), devices=mesh)

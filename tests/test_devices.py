@@ -53,6 +53,9 @@ def test_two_devices_and_two_processes_agree_with_one_device(tmp_path):
     for name, values in expected.items():
         assert all((value > 0).any() for value in values)
         _assert_same(tmp_path / f"{name}.npz", values)
+    swept = [tmp_path / "sweep" / f"view_{index:06d}.npz" for index in range(len(VIEWS))]
+    for file, intensity in zip(swept, expected["process_0"][0], strict=True):
+        np.testing.assert_allclose(np.load(file)["intensity"], intensity, rtol=1e-6)
 
 
 def _mesh(count, names):
