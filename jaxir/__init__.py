@@ -40,7 +40,10 @@ from jaxir.optics.resolve import nodes_for as nodes_for
 from jaxir.optics.resolve import resolved_nodes as resolved_nodes
 from jaxir.render import Image as Image
 from jaxir.render import Outcome as Outcome
+from jaxir.render import Plan as Plan
 from jaxir.render import Signature as Signature
+from jaxir.render import Term as Term
+from jaxir.render import plan as plan
 from jaxir.render import render as render
 from jaxir.render import signature as signature
 from jaxir.render import unoccluded_intensity as unoccluded_intensity
