@@ -233,7 +233,7 @@ def _along_the_ray(optical: Radiometry, camera: Camera, method: Method) -> list[
         return [Term("Plume", False, sentence)]
     sentence = (
         f"the exact sum over the cells of every ray, without variance, where the best sampled estimator, {least}, would "
-        f"have a relative variance of {spread[least]:.2g} a ray at the optical depth {float(depth):.2g} of the thickest"
+        f"have a relative variance of {spread[least]:.2g} a ray at the largest optical depth, {float(depth):.2g}"
     )
     return [Term("Plume", True, sentence)]
 
