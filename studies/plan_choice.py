@@ -7,19 +7,15 @@ import csv
 import itertools
 import statistics
 import time
-from pathlib import Path
 
 import jax
-import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+from tqdm import tqdm
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-from tqdm import tqdm  # noqa: E402
+import jaxir
+from studies.charts import out_folder
 
-import jaxir  # noqa: E402
-
-FIGURES = Path(__file__).parent / "figures"
 SAMPLES = (2, 4, 8, 18, 32, 72, 128, 288)
 REPEATS = 5
 WAYS = {
@@ -109,10 +105,11 @@ def planned(scene, eye, rtol):
 
 
 def seconds(scene, eye, passes):
-    start = time.perf_counter()
+    """CPU seconds and seconds."""
+    start = time.process_time(), time.perf_counter()
     for number, (reflection, samples) in enumerate(passes):
         look(scene, eye, samples, reflection, number)
-    return time.perf_counter() - start
+    return time.process_time() - start[0], time.perf_counter() - start[1]
 
 
 def compare(name, scene, ways, pixel, rtol):
@@ -125,7 +122,8 @@ def compare(name, scene, ways, pixel, rtol):
     runs = [passes] + [[(ways[way], samples)] for way, samples in hands]
     for run in runs:
         seconds(scene, eye, run)
-    times = np.array([[seconds(scene, eye, run) for run in runs] for _ in range(REPEATS)])
+    both = np.array([[seconds(scene, eye, run) for run in runs] for _ in range(REPEATS)])
+    times, wall = both[..., 0], np.median(both[:, 0, 1])
     medians = np.median(times, axis=0)
     best = int(np.argmin(medians[1:]))
     return {
@@ -133,7 +131,7 @@ def compare(name, scene, ways, pixel, rtol):
         "rtol": rtol,
         "planned_samples": "+".join(str(samples) for _, samples in passes),
         "planned_seconds": medians[0],
-        "predicted_seconds": found.seconds,
+        "predicted_over_elapsed": found.seconds / wall,
         "hand": f"{hands[best][0]} {hands[best][1]}".strip(),
         "hand_seconds": medians[1 + best],
         "ratio": statistics.median(times[:, 0] / times[:, 1 + best]),
@@ -143,24 +141,24 @@ def compare(name, scene, ways, pixel, rtol):
 def main():
     grid = list(itertools.product(scenes(), (1e-2, 2e-3, 7e-4)))
     rows = [row for (scene, rtol) in tqdm(grid) if (row := compare(*scene, rtol)) is not None]
-    FIGURES.mkdir(exist_ok=True)
-    with open(FIGURES / "plan_choice.csv", "w", newline="") as stream:
+    out = out_folder("plan_choice")
+    with open(out / "plan_choice.csv", "w", newline="") as stream:
         writer = csv.DictWriter(stream, rows[0])
         writer.writeheader()
         writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
     ratios = np.sort([row["ratio"] for row in rows])
-    predicted = np.array([row["predicted_seconds"] / row["planned_seconds"] for row in rows])
+    predicted = np.array([row["predicted_over_elapsed"] for row in rows])
     good = np.mean(ratios <= 1.3)
     figure, axis = plt.subplots(figsize=(6, 4), constrained_layout=True)
     axis.step(ratios, np.arange(1, len(ratios) + 1) / len(ratios), where="post")
     axis.axvline(1.3, color="0.6", linestyle="--")
     axis.set(
         xscale="log",
-        xlabel="time of the planned method / best by hand",
+        xlabel="CPU time of the planned method / best by hand",
         ylabel="share of scenes",
         title=f"{len(rows)} scenes: {100 * good:.0f} % within 1.3",
     )
-    figure.savefig(FIGURES / "plan_choice.png", dpi=110)
+    figure.savefig(out / "plan_choice.png", dpi=110)
     low, middle, high = np.quantile(predicted, (0.1, 0.5, 0.9))
     print(
         f"{len(rows)} scenes: within 1.3 times the best choice by hand on {100 * good:.0f} %, median "

@@ -30,7 +30,9 @@ def test_a_plan_has_a_sentence_for_every_term():
     lines = str(found).splitlines()
     assert all(line.startswith(f"{name}: ") and line.endswith(".") for name, line in zip(names, lines, strict=True))
     depth = 0.5 * 1.0 / (np.cos(np.deg2rad(30.0)) * np.cos(np.deg2rad(20.0)))  # through two opposite faces
-    assert f"a relative variance of {-np.expm1(-depth) / 3:.2g} a ray at the largest optical depth, {depth:.2g}" in lines[0]
+    spread = -np.expm1(-depth) / 3
+    assert f"combined, would have a relative variance of {spread:.2g} a ray at the largest optical depth" in lines[0]
+    assert f"depth, {depth:.2g}." in lines[0]
     assert isinstance(found.method.path, CellSum) and found.method.reflection is None
     assert found.seconds > 0 and found.compile_seconds > 0
     bare = jaxir.plan(jaxir.Scene(plate()), CAMERA, jaxir.LWIR, 0.02)

@@ -232,8 +232,8 @@ def _along_the_ray(optical: Radiometry, camera: Camera, method: Method) -> list[
         sentence = f"{type(method.path).__name__}, as asked, samples every ray although the sum over cells is exact"
         return [Term("Plume", False, sentence)]
     sentence = (
-        f"the exact sum over the cells of every ray, without variance, where the best sampled estimator, {least}, would "
-        f"have a relative variance of {spread[least]:.2g} a ray at the largest optical depth, {float(depth):.2g}"
+        f"the exact sum over the cells of every ray, without variance, where the best sampled estimator, {least}, "
+        f"would have a relative variance of {spread[least]:.2g} a ray at the largest optical depth, {float(depth):.2g}"
     )
     return [Term("Plume", True, sentence)]
 
