@@ -1,0 +1,426 @@
+"""Error against time of every way to compute the paper's experiments, beside their peers in the same run.
+
+Six experiments of Yu et al. (10.3788/IRLA20200241): the emitting plate, the plate under a disc, a thick and a thin
+box, the ramp medium, an aircraft in the sun. Each method at rising numbers of rays gives a front of relative error
+(root mean square over pixels; of the intensity for the plate) against CPU seconds: medians of interleaved rounds on
+one core, compilation apart. Peers: Mitsuba 3 where it can do the case (it has no emission in media: its nearest
+equivalent, an exact walk and a point estimator written in Dr.Jit, stands for it in the ramp), scalar native code
+(numba) and NumPy in double precision.
+
+python -m studies.speed_accuracy [--cases ramp,disc] [--rounds 3]
+"""
+
+import argparse
+import csv
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from tqdm import tqdm
+
+import jaxir
+from jaxir.geometry.camera import view_frame
+from studies import mitsuba_peer
+from studies.aircraft import generic_aircraft
+from studies.charts import out_folder
+from studies.march_speed import native_walk
+
+BAND = jaxir.MWIR
+GOALS = {"ramp": 1e-3, "disc": 1e-2, "aircraft": 1e-2}  # relative errors at which times are compared
+
+
+class Way(NamedTuple):
+    """One method at one number of rays."""
+
+    front: str
+    rays: int
+    run: Callable[[int], np.ndarray]
+    error: Callable[[np.ndarray], float]
+
+
+def rrmse(expected: np.ndarray, where: np.ndarray | slice = np.s_[:]) -> Callable[[np.ndarray], float]:
+    def error(got: np.ndarray) -> float:
+        got = np.asarray(got, np.float64)
+        return float(np.sqrt(np.mean((got[where] / expected[where] - 1) ** 2)))
+
+    return error
+
+
+def rendering(scene, camera, samples, **method) -> Callable[[int], np.ndarray]:
+    def run(seed: int) -> np.ndarray:
+        image = jaxir.render(scene, camera, BAND, samples=samples, key=jax.random.key(seed), **method)
+        return np.asarray(image.radiance)[..., 0]
+
+    return run
+
+
+def black(temperature: float) -> float:
+    return float(jaxir.band_radiance(jnp.asarray(temperature), jaxir.gray_nodes((BAND,)))[0])
+
+
+def square(temperature=400.0, emissivity=0.5) -> jaxir.Skin:
+    corners = [[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]]
+    return jaxir.Skin(jaxir.Mesh(corners, [[0, 1, 2], [0, 2, 3]]), temperature, jaxir.Lambert(emissivity))
+
+
+def plate(peer) -> list[Way]:
+    """An emitting plate seen at 40 degrees: relative error of its intensity."""
+    scene, tilt, count = jaxir.Scene(square()), 50.0, 250
+    camera = jaxir.orthographic_camera(0.0, tilt, 1.5 / count, (count, count))
+    expected = 0.5 * black(400.0) * np.sin(np.deg2rad(tilt))
+
+    def error(image: np.ndarray) -> float:
+        total = float(np.sum(np.asarray(image, np.float64))) * ((1.5 / count) ** 2 if np.ndim(image) == 2 else 1.0)
+        return abs(total / expected - 1)
+
+    faces = jax.jit(lambda t: jaxir.unoccluded_intensity(jaxir.Scene(square(t)), 0.0, tilt, BAND))
+    ways = [Way("jaxir, rays", n, rendering(scene, camera, n), error) for n in (2, 8, 32, 98)]
+    ways.append(Way("jaxir, sum over faces", 1, lambda seed: np.asarray(faces(400.0)), error))
+    if peer:
+        mi, dr = peer
+        frame, glow = np.asarray(view_frame(0.0, tilt)), {"type": "area", "radiance": 0.5 * black(400.0)}
+        for n in (4, 16, 64):
+            scene = {
+                "type": "scene",
+                "integrator": {"type": "direct"},
+                "sensor": mitsuba_peer.sensor(mi, frame, np.zeros(3), 1.5, (count, count), "stratified", n),
+                "plate": {
+                    "type": "rectangle",
+                    "to_world": mi.ScalarTransform4f().scale([0.5, 0.5, 1]),
+                    "emitter": glow,
+                },
+            }
+            ways.append(Way("Mitsuba, stratified", n, mitsuba_peer.renderer(mi, dr, scene, n), error))
+    return ways
+
+
+def disc(peer) -> list[Way]:
+    """A plate of reflectance .5 under a disc of radius 1 m, 1.8 m above and 1.2 m aside both ways."""
+    count, height, aside = 128, 1.8, 1.2
+    lamp = jaxir.DiscSource([aside, aside, height], [0.0, 0.0, -1.0], 1.0, 100.0)
+    scene = jaxir.Scene(square(3.0), sources=(lamp,))
+    camera = jaxir.orthographic_camera(-90.0, 90.0, 1.0 / count, (count, count))
+    place = ((np.arange(count * 8) + 0.5) / (count * 8)) - 0.5
+    x, y = np.meshgrid(place, -place)
+    a2 = (x - aside) ** 2 + (y - aside) ** 2
+    factor = 0.5 * (1 - (a2 + height**2 - 1) / np.sqrt((a2 + height**2 + 1) ** 2 - 4 * a2))
+    expected = 0.5 * 100.0 * factor.reshape(count, 8, count, 8).mean((1, 3))
+    error = rrmse(expected)
+    ways = []
+    families = {
+        "jaxir, light": jaxir.LightSampling,
+        "jaxir, brdf": jaxir.BrdfSampling,
+        "jaxir, both": lambda n: jaxir.MultipleImportance(n // 2, n // 2),
+    }
+    for name, family in families.items():
+        for n in (2, 16, 128):
+            for sampler in (jaxir.Independent(), jaxir.Sobol()):
+                if isinstance(sampler, jaxir.Sobol) and name != "jaxir, light":
+                    continue
+                method = jaxir.Reflection(family(n), sampler=sampler)
+                front = f"{name}, {type(sampler).__name__.lower()}"
+                ways.append(Way(front, 2 * n, rendering(scene, camera, 2, reflection=method), error))
+    closed = jaxir.Reflection(jaxir.ClosedForm())
+    ways += [Way("jaxir, closed form", n, rendering(scene, camera, n, reflection=closed), error) for n in (2, 8)]
+    if peer:
+        mi, dr = peer
+        frame = np.asarray(view_frame(-90.0, 90.0))
+        transform = mi.ScalarTransform4f
+        for sampler in ("independent", "stratified", "ldsampler"):
+            for n in (4, 16, 64, 256):
+                world = {
+                    "type": "scene",
+                    "integrator": {"type": "direct", "hide_emitters": True},
+                    "sensor": mitsuba_peer.sensor(mi, frame, np.zeros(3), 1.0, (count, count), sampler, n),
+                    "plate": {
+                        "type": "rectangle",
+                        "to_world": transform().scale([0.5, 0.5, 1]),
+                        "bsdf": {"type": "diffuse", "reflectance": 0.5},
+                    },
+                    "lamp": {
+                        "type": "disk",
+                        "to_world": transform().translate([aside, aside, height]).rotate([1, 0, 0], 180),
+                        "emitter": {"type": "area", "radiance": 100.0},
+                    },
+                }
+                ways.append(Way(f"Mitsuba, {sampler}", n, mitsuba_peer.renderer(mi, dr, world, n), error))
+    return ways
+
+
+def box(absorption: float, size, peer) -> list[Way]:
+    """A homogeneous box of gas at 30 degrees, the image inside its outline."""
+    grid = jaxir.Grid(-np.array(size) / 2, np.array(size) / 8, (8, 8, 8))
+    scene = jaxir.Scene(plume=jaxir.GridPlume(grid, 600.0, jaxir.GrayGas(absorption)))
+    rows, columns, angle = 16, 128, np.deg2rad(30.0)
+    pixel = 0.9 * size[2] / rows, 2.6 / columns
+    camera = jaxir.orthographic_camera(30.0, 0.0, (pixel[1], pixel[0]), (rows, columns))
+
+    def numpy_walk(points: int) -> np.ndarray:
+        u = ((np.arange(columns * points) + 0.5) / points - columns / 2) * pixel[1]
+        origin = u[:, None] * [-np.sin(angle), np.cos(angle)] + 9 * np.array([np.cos(angle), np.sin(angle)])
+        toward = -np.array([np.cos(angle), np.sin(angle)])
+        half = np.array(size[:2]) / 2
+        edges = np.stack([(-half - origin) / toward, (half - origin) / toward])
+        length = np.maximum(edges.max(0).min(-1) - edges.min(0).max(-1), 0)
+        value = -black(600.0) * np.expm1(-absorption * length)
+        return np.broadcast_to(value.reshape(columns, points).mean(-1), (rows, columns))
+
+    expected = numpy_walk(512)
+    error = rrmse(expected)
+    ways = [Way("jaxir, exact sum", n, rendering(scene, camera, n), error) for n in (2, 8, 32)]
+    paths = {
+        "point": jaxir.PointIntegration(),
+        "line": jaxir.LineIntegration(),
+        "combined": jaxir.CombinedIntegration(),
+    }
+    for name, path in paths.items():
+        ways += [Way(f"jaxir, {name}", n, rendering(scene, camera, n, path=path), error) for n in (2, 32)]
+    ways += [Way("NumPy, slab", n, lambda seed, n=n: numpy_walk(n), error) for n in (1, 8)]
+    return ways
+
+
+def thick(peer) -> list[Way]:
+    return box(10.0, (2.0, 2.0, 2.0), peer)
+
+
+def thin(peer) -> list[Way]:
+    return box(0.01, (2.0, 2.0, 0.5), peer)
+
+
+def ramp(peer) -> list[Way]:
+    """The ramp medium broadside, 4 m wide: a column of 40 cells of 5 mm behind every pixel of 20 mm."""
+    shape, rows, columns, side = (200, 16, 40), 16, 200, 0.02
+    low, spacing = np.array([-2.0, -0.16, -0.1], np.float32), np.array([side, side, 0.005], np.float32)
+    grid = jaxir.Grid(low, spacing, shape)
+    absorption = np.broadcast_to((0.1 * side * (np.arange(columns) + 0.5))[:, None, None, None], (*shape, 1))
+    scene = jaxir.Scene(plume=jaxir.GridPlume(grid, 600.0, jaxir.GrayGas(np.ascontiguousarray(absorption, np.float32))))
+    camera = jaxir.orthographic_camera(-90.0, 90.0, side, (rows, columns))
+    expected = np.broadcast_to(-black(600.0) * np.expm1(-0.2 * absorption[:, 0, 0, 0]), (rows, columns))
+    error = rrmse(expected)
+    ways = [Way("jaxir, exact sum", 2, rendering(scene, camera, 2), error)]
+    paths = {
+        "point": jaxir.PointIntegration(),
+        "line": jaxir.LineIntegration(),
+        "combined": jaxir.CombinedIntegration(),
+    }
+    for name, path in paths.items():
+        ways += [Way(f"jaxir, {name}", n, rendering(scene, camera, n, path=path), error) for n in (2, 4)]
+    extinction = np.ascontiguousarray(absorption[..., 0], np.float32)
+    emission = extinction * np.float32(black(600.0))
+    x, y = np.meshgrid((np.arange(columns) + 0.5) * side - 2.0, (rows / 2 - np.arange(rows) - 0.5) * side)
+    origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, 1.0)], 1).astype(np.float32)
+    direction = np.broadcast_to(np.array([0, 0, -1], np.float32), origin.shape).copy()
+    origin, direction = np.repeat(origin, 2, 0), np.repeat(direction, 2, 0)  # two rays a pixel, as the exact sum takes
+    try:
+        walk = native_walk()
+    except ImportError:
+        walk = None
+    if walk:
+        flat = extinction.ravel(), emission.ravel()
+
+        def native(seed: int) -> np.ndarray:
+            radiance = np.zeros(len(origin), np.float32)
+            walk(low, spacing, np.array(shape), *flat, origin, direction, radiance)
+            return radiance.reshape(rows, columns, 2).mean(-1)
+
+        ways.append(Way("numba, exact walk", 2, native, error))
+    if peer:
+        run = mitsuba_peer.exact_walk(
+            *peer, low.tolist(), spacing.tolist(), shape, extinction, emission, origin, direction
+        )
+        ways.append(Way("Dr.Jit, exact walk", 2, lambda s: run(s).reshape(rows, columns, 2).mean(-1), error))
+    return ways
+
+
+def aircraft_scene(emissivity=0.8):
+    vertices, faces, _ = generic_aircraft()
+    skin = jaxir.Skin(jaxir.Mesh(vertices, faces), 300.0, jaxir.Lambert(emissivity))
+    return jaxir.Scene(skin, sources=(jaxir.ParallelSource((0.0, -0.6, -0.8), 20.0),)), vertices, faces
+
+
+AIRCRAFT = (40.0, 30.0, 17.0, 256)  # azimuth, elevation, width of the image [m], pixels a side
+
+
+def aircraft(peer) -> list[Way]:
+    """The aircraft in the sun, one reflection, at one temperature: pixels that see nothing but skin."""
+    azimuth, elevation, width, count = AIRCRAFT
+    scene, vertices, faces = aircraft_scene()
+    camera = jaxir.orthographic_camera(azimuth, elevation, width / count, (count, count))
+    expected = rendering(scene, camera, 578)(99).astype(np.float64)
+    lone = jaxir.Scene(jaxir.Skin(scene.skin.mesh, 300.0, jaxir.Lambert(1.0)))
+    cover = rendering(lone, camera, 128)(98) / black(300.0)
+    inside = cover > 1 - 1e-4
+    error = rrmse(expected, inside)
+    ways = [Way("jaxir", n, rendering(scene, camera, n), error) for n in (2, 4, 8, 18, 32, 72)]
+    if peer:
+        mi, dr = peer
+        frame = np.asarray(view_frame(azimuth, elevation))
+        body = mitsuba_peer.mesh(
+            mi,
+            vertices,
+            faces,
+            {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.2}},
+        )
+        for sampler in ("independent", "multijitter"):
+            for n in (4, 16, 64):
+                world = {
+                    "type": "scene",
+                    "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
+                    "sensor": mitsuba_peer.sensor(mi, frame, np.zeros(3), width, (count, count), sampler, n),
+                    "body": body,
+                    "sun": {"type": "directional", "direction": [0.0, -0.6, -0.8], "irradiance": 20.0},
+                }
+                run = mitsuba_peer.renderer(mi, dr, world, n)
+                glow = 0.8 * black(300.0)
+                front = f"Mitsuba, sun apart, {sampler}"
+                ways.append(Way(front, n, lambda s, run=run, glow=glow: run(s) + glow, error))
+    return ways
+
+
+CASES = {"plate": plate, "disc": disc, "thick": thick, "thin": thin, "ramp": ramp, "aircraft": aircraft}
+
+
+def measure(name: str, ways: list[Way], rounds: int) -> list[dict]:
+    """One row per way."""
+    first, errors, times = [], [[] for _ in ways], [[] for _ in ways]
+    for way in tqdm(ways, desc=f"{name}: compile", leave=False):
+        began = time.process_time()
+        way.run(0)
+        first.append(time.process_time() - began)
+    for number in tqdm(range(1, rounds + 1), desc=name, leave=False):
+        for place, way in enumerate(ways):
+            began = time.process_time()
+            image = way.run(number)
+            times[place].append(time.process_time() - began)
+            errors[place].append(way.error(image))
+    return [
+        {
+            "case": name,
+            "front": way.front,
+            "rays": way.rays,
+            "rrmse": float(np.median(error)),
+            "seconds": float(np.median(spent)),
+            "compile_seconds": start - float(np.median(spent)),
+        }
+        for way, start, error, spent in zip(ways, first, errors, times, strict=True)
+    ]
+
+
+def fastest(rows: list[dict], goal: float, front: Callable[[str], bool]) -> dict | None:
+    """The cheapest row of some fronts at an error of at most `goal`; else the best, its time scaled as rays^-1/2."""
+    own = [row for row in rows if front(row["front"])]
+    if not own:
+        return None
+    met = [row for row in own if row["rrmse"] <= goal]
+    if met:
+        return min(met, key=lambda row: row["seconds"])
+    scaled = [{**row, "seconds": row["seconds"] * (row["rrmse"] / goal) ** 2, "rrmse": goal} for row in own]
+    return min(scaled, key=lambda row: row["seconds"])
+
+
+def gradient_ratio(rounds: int) -> float:
+    """Time of the gradient of a loss of the aircraft's image in all emissivities over that of the image."""
+    azimuth, elevation, width, count = AIRCRAFT
+    scene, *_ = aircraft_scene()
+    camera = jaxir.orthographic_camera(azimuth, elevation, width / count, (count, count))
+    faces = jnp.full(scene.skin.mesh.count, 0.8)
+
+    def image(emissivity):
+        skin = jaxir.Skin(scene.skin.mesh, 300.0, jaxir.Lambert(emissivity))
+        whole = jaxir.Scene(skin, sources=scene.sources)
+        return jaxir.render(whole, camera, BAND, samples=8).radiance
+
+    forward = jax.jit(image)
+    backward = jax.jit(jax.value_and_grad(lambda e: jnp.sum(image(e) ** 2)))
+    jax.block_until_ready((forward(faces), backward(faces)))
+    ratios = []
+    for _ in range(rounds):
+        a = time.process_time()
+        jax.block_until_ready(forward(faces))
+        b = time.process_time()
+        jax.block_until_ready(backward(faces))
+        ratios.append((time.process_time() - b) / (b - a))
+    return float(np.median(ratios))
+
+
+def judge(what: str, got: float, goal: float, more_is_better: bool = True) -> str:
+    good = got >= goal if more_is_better else got <= goal
+    apart = got / goal if (got >= goal) else goal / got
+    sign, verdict = ">=" if more_is_better else "<=", "met" if good else "MISSED"
+    return f"{what}: {got:.3g} (goal {sign} {goal:g}), {verdict} by {apart:.2g} x"
+
+
+def goals(rows: list[dict], rounds: int, cases: list[str]) -> list[str]:
+    lines = []
+
+    def ratio(case: str, theirs: Callable[[str], bool], ours: Callable[[str], bool]) -> float | None:
+        own = [row for row in rows if row["case"] == case]
+        other, mine = fastest(own, GOALS[case], theirs), fastest(own, GOALS[case], ours)
+        return None if other is None or mine is None else other["seconds"] / mine["seconds"]
+
+    def is_exact(front: str) -> bool:
+        return front == "jaxir, exact sum"
+
+    asked = [
+        ("ramp", lambda f: f in ("jaxir, point", "jaxir, line", "jaxir, combined"), is_exact, 100.0, "best stochastic"),
+        ("ramp", lambda f: f.startswith("Dr.Jit"), is_exact, 1.0, "exact walk in Dr.Jit"),
+        ("ramp", lambda f: f.startswith("numba"), is_exact, 1.0, "scalar native walk (no goal set)"),
+        ("disc", lambda f: f.startswith("Mitsuba"), lambda f: f.startswith("jaxir"), 10.0, "Mitsuba at its best"),
+        ("aircraft", lambda f: f.startswith("Mitsuba"), lambda f: f == "jaxir", 3.0, "Mitsuba at its best"),
+    ]
+    for case, theirs, ours, goal, label in asked:
+        if case in cases:
+            got = ratio(case, theirs, ours)
+            what = f"{case} at {100 * GOALS[case]:g} %, time of {label} over jaxir's"
+            lines.append(f"{what}: not measured" if got is None else judge(what, got, goal))
+    if "aircraft" in cases:
+        lines.append(judge("aircraft, gradient in all emissivities over image", gradient_ratio(rounds), 3.0, False))
+    return lines
+
+
+def chart(path: Path, rows: list[dict], cases: list[str]) -> None:
+    figure, axes = plt.subplots(2, 3, figsize=(15, 8.5), layout="constrained")
+    for axis, case in zip(axes.ravel(), cases, strict=False):
+        own = [row for row in rows if row["case"] == case]
+        for front in dict.fromkeys(row["front"] for row in own):
+            points = [row for row in own if row["front"] == front]
+            style = "o-" if front.startswith("jaxir") else "s--"
+            axis.loglog([p["seconds"] for p in points], [max(p["rrmse"], 1e-9) for p in points], style, label=front)
+        if case in GOALS:
+            axis.axhline(GOALS[case], color="0.7", lw=0.8)
+        axis.set(title=case, xlabel="CPU seconds, compilation apart", ylabel="relative error")
+        axis.legend(fontsize=7)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+def main(argv: list[str]) -> None:
+    parser = argparse.ArgumentParser(prog="python -m studies.speed_accuracy", description=__doc__.split("\n")[0])
+    parser.add_argument("--cases", default=",".join(CASES), help="some of %(default)s")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=out_folder("speed_accuracy"), help="folder (%(default)s)")
+    chosen = parser.parse_args(argv)
+    cases, peer, rows = chosen.cases.split(","), mitsuba_peer.load(), []
+    for case in cases:
+        rows += measure(case, CASES[case](peer), chosen.rounds)
+    with open(chosen.out / "speed_accuracy.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    chart(chosen.out / "speed_accuracy.png", rows, cases)
+    for row in rows:
+        print(
+            f"{row['case']:9s} {row['front']:32s} {row['rays']:5d} rays {100 * row['rrmse']:10.3g} % "
+            f"{row['seconds']:8.3g} s, compile {row['compile_seconds']:.2g} s"
+        )
+    print("\n".join(goals(rows, chosen.rounds, cases)))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
