@@ -1,0 +1,97 @@
+"""How fast is the accelerator at hand, beside the CPU of the same machine?
+
+Rays a second (closest hit of the generic aircraft in the sun, camera rays), cells crossed a second and nanoseconds per
+cell and node (exact sum through a cube of gas), and what fraction of the memory bandwidth, itself measured by copying
+an array, the crossings read at least: extinction and emission, 4 bytes each per cell and node. The same user code runs
+on every backend; without an accelerator the CPU alone is measured, and the output says so.
+"""
+
+import argparse
+import csv
+import sys
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxir
+from jaxir.geometry.camera import fitted_camera
+from jaxir.geometry.walk import crossings
+from studies.charts import out_folder
+from studies.scaling import SUN, bands, body, gas
+
+PIXELS, ROUNDS, CELLS, NODES = 256, 5, 300_000, (1, 16)
+
+
+def seconds(run) -> float:
+    """Median without compilation."""
+    jax.block_until_ready(run())
+    times = []
+    for _ in range(ROUNDS):
+        began = time.perf_counter()
+        jax.block_until_ready(run())
+        times.append(time.perf_counter() - began)
+    return float(np.median(times))
+
+
+def bandwidth(megabytes: int = 256) -> float:
+    """Bytes read and written a second by a scaled copy."""
+    field = jnp.ones(megabytes * 250_000)
+    copy = jax.jit(lambda x: 1.5 * x)
+    return 2 * field.nbytes / seconds(lambda: copy(field))
+
+
+def crossed(scene, camera) -> float:
+    """Mean number of cells crossed by a camera ray, from one ray in 64."""
+    tile = jnp.arange(0, camera.tiles[0] * camera.tiles[1], 64, dtype=jnp.int32)
+    screen = camera.screen(tile, jnp.full((tile.shape[0], 256, 2), 0.5)).reshape(-1, 2)
+    rays = camera.bundle(screen, scene.radius(camera.target)).rays()
+    lists = crossings(scene.plume.grid, rays, jnp.full(rays.count, jnp.inf))
+    return float(jnp.mean(jnp.sum(lists.length > 0, axis=1)))
+
+
+def measure(device) -> list[dict]:
+    with jax.default_device(device):
+        name = f"{device.platform}: {device.device_kind}"
+        top = bandwidth()
+        rows = [{"device": name, "what": "copy", "value": top / 1e9, "unit": "GB/s"}]
+        scene = jaxir.Scene(body(1.0), sources=(SUN,))
+        camera = fitted_camera(40.0, 20.0, scene.extent(), (PIXELS, PIXELS))
+        spent = seconds(lambda: jaxir.render(scene, camera, jaxir.MWIR, samples=2).radiance)
+        rate = 2 * PIXELS**2 / spent / 1e6
+        rows.append({"device": name, "what": "camera rays, lit by the sun", "value": rate, "unit": "Mrays/s"})
+        scene = jaxir.Scene(plume=gas(CELLS))
+        camera = fitted_camera(40.0, 20.0, scene.extent(), (PIXELS, PIXELS))
+        work = 2 * PIXELS**2 * crossed(scene, camera)
+        for count in NODES:
+            nodes = bands(count)
+            spent = seconds(lambda nodes=nodes: jaxir.render(scene, camera, nodes, samples=2).radiance)
+            label = f"crossings, {count} nodes"
+            rows.append({"device": name, "what": label, "value": work / spent / 1e6, "unit": "Mcrossings/s"})
+            each = spent / work / count * 1e9
+            rows.append({"device": name, "what": label, "value": each, "unit": "ns per cell and node"})
+            share = 8 * work * count / spent / top
+            rows.append({"device": name, "what": label, "value": share, "unit": "of the bandwidth"})
+    return rows
+
+
+def main(argv: list[str]) -> None:
+    parser = argparse.ArgumentParser(prog="python -m studies.gpu", description=__doc__.split("\n")[0])
+    parser.add_argument("--out", type=Path, default=out_folder("gpu"), help="folder (%(default)s)")
+    chosen = parser.parse_args(argv)
+    devices = list({device.platform: device for device in (*jax.devices(), jax.devices("cpu")[0])}.values())
+    rows = [row for device in devices for row in measure(device)]
+    with open(chosen.out / "gpu.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows({**row, "value": f"{row['value']:.4g}"} for row in rows)
+    for row in rows:
+        print(f"{row['device']:24s} {row['what']:28s} {row['value']:10.4g} {row['unit']}")
+    if len(devices) == 1:
+        print("no accelerator is present: the CPU alone was measured")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

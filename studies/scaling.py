@@ -1,0 +1,142 @@
+"""How do time and memory grow with the work? Triangles, cells, spectral nodes, bounces, rays per pixel, views.
+
+One pass over a 256 x 256 image: CPU seconds, medians without compilation, and the temporary memory of one compiled
+chunk, which bounds a render whatever the image (64 tiles of 256 rays). Exponents are slopes between the last two
+points of each curve. `--full` goes to 1e6 triangles and 6e7 cells.
+"""
+
+import argparse
+import csv
+import sys
+import time
+from pathlib import Path
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+from tqdm import tqdm
+
+import jaxir
+from jaxir.geometry.camera import fitted_camera, pixel_strata
+from jaxir.render.chunks import Pass, compiled_radiometry, estimate_chunk, method_of
+from studies.aircraft import generic_aircraft
+from studies.charts import out_folder
+
+PIXELS, ROUNDS = 256, 3
+SUN = jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0)
+
+
+def body(detail: float) -> jaxir.Skin:
+    vertices, faces, _ = generic_aircraft(detail)
+    return jaxir.Skin(jaxir.Mesh(vertices, faces), 300.0, jaxir.Lambert(0.7))
+
+
+def gas(cells: int) -> jaxir.GridPlume:
+    """A cube of gas of about `cells` cells."""
+    side = round(cells ** (1 / 3))
+    grid = jaxir.Grid((-2.0, -2.0, -2.0), (4 / side,) * 3, (side,) * 3)
+    temperature = np.linspace(600.0, 1200.0, side, dtype=np.float32)[:, None, None] * np.ones((1, side, side), "f4")
+    return jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.3))
+
+
+def bands(count: int) -> jaxir.Nodes:
+    edges = np.linspace(3.0, 5.0, count + 1)
+    return jaxir.gray_nodes([jaxir.Band(f"{k}", edges[k], edges[k + 1]) for k in range(count)])
+
+
+def one_pass(scene, nodes, samples=2, reflection=None) -> tuple[float, float]:
+    """Seconds of all chunks, and the temporary memory of one [MB]."""
+    camera = fitted_camera(40.0, 20.0, scene.extent(), (PIXELS, PIXELS))
+    method = method_of(scene, reflection, jaxir.CellSum())
+    whole = Pass(compiled_radiometry(scene, nodes), camera, jax.random.key(0), pixel_strata(samples), method)
+    chunks = whole.chunks()
+    compiled = estimate_chunk.lower(whole, chunks[0]).compile()
+    memory = compiled.compiled.memory_analysis().temp_size_in_bytes / 1e6
+    jax.block_until_ready(compiled(whole, chunks[0]))
+    times = []
+    for _ in range(ROUNDS):
+        began = time.process_time()
+        for chunk in chunks:
+            jax.block_until_ready(compiled(whole, chunk))
+        times.append(time.process_time() - began)
+    return float(np.median(times)), memory
+
+
+def sweep(views: int) -> tuple[float, float]:
+    scene, asked = SHARED["body"], np.stack([np.linspace(0, 90, views), np.zeros(views)], 1)
+    jaxir.signature(scene, asked, jaxir.MWIR, shape=(64, 64))
+    times = []
+    for _ in range(ROUNDS):
+        began = time.process_time()
+        jax.block_until_ready(jaxir.signature(scene, asked, jaxir.MWIR, shape=(64, 64)).intensity)
+        times.append(time.process_time() - began)
+    return float(np.median(times)), np.nan
+
+
+SHARED: dict[str, jaxir.Scene] = {}
+
+
+def axes(full: bool):
+    """Name, values, and what is measured at a value."""
+    gray = bands(1)
+    details = (0.01, 0.1, 1.0, 10.0) + ((100.0,) if full else ())
+    sizes = (10_000, 100_000, 1_000_000) + ((8_000_000, 60_000_000) if full else ())
+
+    def triangles(detail):
+        scene = jaxir.Scene(body(detail), sources=(SUN,))
+        return scene.skin.mesh.count, *one_pass(scene, gray)
+
+    def bounces(count):
+        reflection = jaxir.Reflection(jaxir.LightSampling(1), bounces=count)
+        return count + 1, *one_pass(SHARED["body"], gray, reflection=reflection)
+
+    yield "triangles", details, triangles
+    yield "cells", sizes, lambda n: (round(n ** (1 / 3)) ** 3, *one_pass(jaxir.Scene(plume=gas(n)), gray))
+    yield "nodes", (1, 4, 16, 64, *((256,) if full else ())), lambda n: (n, *one_pass(SHARED["gas"], bands(n)))
+    yield "legs (bounces + 1)", (0, 1, 3), bounces
+    yield "rays per pixel", (2, 8, 32), lambda n: (n, *one_pass(SHARED["body"], gray, n))
+    yield "views", (2, 8, 32), lambda n: (n, *sweep(n))
+
+
+def main(argv: list[str]) -> None:
+    parser = argparse.ArgumentParser(prog="python -m studies.scaling", description=__doc__.split("\n")[0])
+    parser.add_argument("--full", action="store_true", help="1e6 triangles, 6e7 cells, 256 nodes too")
+    parser.add_argument("--out", type=Path, default=out_folder("scaling"), help="folder (%(default)s)")
+    chosen = parser.parse_args(argv)
+    SHARED["body"] = jaxir.Scene(body(1.0), sources=(SUN,))
+    SHARED["gas"] = jaxir.Scene(plume=gas(30_000))
+    rows = []
+    for name, values, measured in axes(chosen.full):
+        for value in tqdm(values, desc=name, leave=False):
+            work, seconds, memory = measured(value)
+            rows.append({"axis": name, "work": work, "seconds": seconds, "chunk_megabytes": memory})
+            jax.clear_caches()
+    with open(chosen.out / "scaling.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    names = list(dict.fromkeys(row["axis"] for row in rows))
+    figure, panels = plt.subplots(2, 3, figsize=(13, 7), layout="constrained")
+    said = []
+    for panel, name in zip(panels.ravel(), names, strict=True):
+        own = [row for row in rows if row["axis"] == name]
+        work, seconds, memory = (
+            np.array([row[k] for row in own], float) for k in ("work", "seconds", "chunk_megabytes")
+        )
+        slope = np.log(seconds[-1] / seconds[-2]) / np.log(work[-1] / work[-2])
+        said.append(f"{name} {slope:.2f}")
+        panel.loglog(work, seconds, "o-", label=f"CPU seconds, exponent {slope:.2f}")
+        if np.isfinite(memory).all():
+            growth = np.log(memory[-1] / memory[-2]) / np.log(work[-1] / work[-2])
+            panel.loglog(work, memory / 1e3, "s--", label=f"GB of a chunk, exponent {growth:.2f}")
+            said[-1] += f" (memory {growth:.2f})"
+        panel.set(xlabel=name)
+        panel.legend()
+    figure.savefig(chosen.out / "scaling.png", dpi=90)
+    plt.close(figure)
+    most = max(row["chunk_megabytes"] for row in rows if np.isfinite(row["chunk_megabytes"]))
+    print(f"time grows with the power of {', '.join(said)}; a chunk needs {most:.0f} MB at most; see {chosen.out}/")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
