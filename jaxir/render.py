@@ -19,9 +19,10 @@ from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.scene.background import AbstractUniformBackground
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import ParallelSource
-from jaxir.transport.evaluate import Radiometry, empty_radiance, evaluate, radiometry, unoccluded_radiance
+from jaxir.transport.evaluate import empty_radiance, evaluate, unoccluded_radiance
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import Radiometry, radiometry
 from jaxir.transport.reflection import Reflection, reflection_of
 
 TILES_AT_ONCE = 64  # 16384 rays: bounds memory whatever the image
