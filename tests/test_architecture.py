@@ -1,7 +1,6 @@
 """The house stands: imports run downward only, and a scene compiles no more than it holds."""
 
 import ast
-import importlib
 from pathlib import Path
 
 import jax
@@ -11,12 +10,12 @@ import jaxir
 import jaxir.transport.sight as sight
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import gray_nodes
+from jaxir.render import chunks as chunks_module
 from jaxir.transport.evaluate import evaluate
-from jaxir.transport.radiometry import radiometry
 from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import radiometry
 from tests.scenes import gray_box, plate
 
-render_module = importlib.import_module("jaxir.render")  # the package's attribute of that name is the function
 PACKAGE = Path(jaxir.__file__).parent
 FLOORS = {"optics": 0, "geometry": 0, "scene": 1, "transport": 2, "render": 3, "fit": 3, "io": 4}
 
@@ -114,7 +113,7 @@ def test_shadow_rays_are_traced_for_sources_only(monkeypatch):
 
 def test_new_values_never_compile_again(monkeypatch):
     traced = []
-    monkeypatch.setattr(render_module, "trace", lambda *args: traced.append(1) or trace(*args))
+    monkeypatch.setattr(chunks_module, "trace", lambda *args: traced.append(1) or trace(*args))
 
     def run(temperature, emissivity, absorption, irradiance, azimuth):
         scene = jaxir.Scene(

@@ -15,7 +15,7 @@ from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import Chain, Paths
 from jaxir.transport.radiometry import Radiometry, background_radiance, through_air, through_plume
 from jaxir.transport.reflection import Reflection, reflection_of
-from jaxir.transport.scatter_sum import scatter_sum
+from jaxir.transport.scatter_sum import Orders, scatter_sum
 
 
 def evaluate(
@@ -50,7 +50,7 @@ def evaluate(
     if paths.scatter is not None:
         if not isinstance(path, CellSum):
             raise ValueError(f"path: got {type(path).__name__}, expected CellSum for a plume with particles")
-        return through_air(optical, scatter_sum(optical, paths.scatter, reflection).radiance)
+        return evaluate_orders(optical, paths, reflection).radiance
     radiance = background_radiance(optical, paths.rays.direction)
     if paths.hit is not None:
         skin = _chain(optical, paths.chain, reflection) if paths.chain is not None and reflection is not None else None
@@ -66,6 +66,18 @@ def evaluate(
     if isinstance(optical.medium, GridMedium) and paths.crossings is not None:
         return through_air(optical, optical.medium.listed_leg(paths.crossings, radiance))
     return through_air(optical, through_plume(optical, paths.rays, paths.length, radiance))
+
+
+def evaluate_orders(optical: Radiometry, paths: Paths, reflection: Reflection | None = None) -> Orders:
+    """`evaluate` for a plume with particles, with what the last two orders of scattering brought [ray, node]."""
+    assert paths.scatter is not None
+    orders = scatter_sum(optical, paths.scatter, reflection_of(optical.scene, reflection))
+    air = optical.transmittance
+    if air is not None:
+        orders = Orders(*(part * air[None] for part in orders))
+    if optical.path_radiance is not None:
+        orders = orders._replace(radiance=orders.radiance + optical.path_radiance[None])
+    return orders
 
 
 def empty_radiance(optical: Radiometry, direction: Float[Array, "*batch 3"]) -> Float[Array, "*batch node"]:

@@ -27,7 +27,7 @@ from jaxir.transport.scatter_trace import ScatterPath, vertex_lights
 
 
 class Orders(NamedTuple):
-    """Radiance of paths [ray, node], and the parts of it that their last leg and the one before brought."""
+    """Radiance of paths [ray, node], and the parts of it scattered as often as may be, and once less."""
 
     radiance: Float[Array, "ray node"]
     last: Float[Array, "ray node"]
@@ -61,7 +61,8 @@ def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection |
             bounced = passed * reflected(optical, leg.vertex, leg.omega, jnp.where(scattered, 0, leg.factor))
             onward = jnp.where(scattered[:, None], onward, bounced)
         part = through * brought
-        return (Orders(sums.radiance + part, part, sums.last), through * onward), None
+        last, before = (jnp.where((leg.events == path.orders - less)[:, None], part, 0) for less in (0, 1))
+        return (Orders(sums.radiance + part, sums.last + last, sums.before + before), through * onward), None
 
     first = jax.tree.map(lambda leaf: leaf[0], path.rays)
     dark = jnp.zeros((first.count, optical.nodes.count), first.origin.dtype)

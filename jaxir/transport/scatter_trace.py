@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxir.geometry.mesh import any_hit, closest_hit
 from jaxir.geometry.ray import Rays
@@ -54,6 +54,8 @@ class ScatterPath(eqx.Module):
         factor: 1 / density of that direction [ray] [sr]; 0 where the path ends, times 1 / chance of reflection rather
             than scattering where the skin reflects it.
         beams: lights as seen from where the path is scattered; None without such lights.
+        events: how often the path was scattered before the leg [ray].
+        orders: how often at most.
     """
 
     rays: Rays
@@ -65,6 +67,8 @@ class ScatterPath(eqx.Module):
     omega: Float[Array, "*leg ray 3"]
     factor: Float[Array, "*leg ray"]
     beams: Beams | None
+    events: Int[Array, "*leg ray"]
+    orders: int = eqx.field(static=True)
 
 
 Source = AbstractDeltaSource | AbstractAreaSource
@@ -102,20 +106,22 @@ def follow(
     lights = () if reflection is None else reflection.lights(scene)
 
     def step(state: _State, drawn: tuple[Array, Array, Array]) -> tuple[_State, ScatterPath]:
-        key, may_scatter, may_bounce = drawn
+        key, more, may_bounce = drawn
         at_skin, for_place, for_omega, for_beams = jax.random.split(key, 4)
         around = leg = landed = None
         if reflection is not None and state.vertex is not None and (bounces or lights):
             around, leg, landed = look_around(scene, reflection, state.vertex, at_skin, may_bounce if bounces else None)
         u = jax.random.uniform(for_place, state.length.shape, state.length.dtype)
         forced = jnp.ones(u.shape, bool) if leg is None else leg.factor == 0
-        place = free_path(plume, state.rays, jnp.where(may_scatter, state.length, 0), u, forced)
+        reach = jnp.where(more & (state.events < scattering.orders), state.length, 0)
+        place = free_path(plume, state.rays, reach, u, forced)
         scattered = place.factor > 0
         point = state.rays.at(place.t)
         omega, factor = _scattered(scene, state.rays.direction, for_omega)
         factor = jnp.where(scattered, factor, 0)
         beams = _beams(scene, point, scattered, for_beams)
-        link = ScatterPath(state.rays, state.length, state.vertex, around, state.open, place, omega, factor, beams)
+        sight = (state.rays, state.length, state.vertex, around, state.open)
+        link = ScatterPath(*sight, place, omega, factor, beams, state.events, scattering.orders)
         onward = Rays(point, omega)
         hit = _meet(scene, onward, scattered)
         if leg is not None and state.vertex is not None:
@@ -127,11 +133,12 @@ def follow(
             factor = jnp.where(scattered, factor, leg.factor * place.passing)
             link = eqx.tree_at(lambda x: (x.omega, x.factor), link, (onward.direction, factor))
         vertex = None if state.vertex is None else _vertex(scene, onward, hit, state.vertex.lit is not None)
-        return _State(onward, hit.t, vertex, scattered | (len(lights) == 0)), link
+        events = state.events + scattered.astype(jnp.int32)
+        return _State(onward, hit.t, vertex, scattered | (len(lights) == 0), events), link
 
-    state = _State(rays, hit.t, vertex, jnp.ones(hit.t.shape, bool))
+    state = _State(rays, hit.t, vertex, jnp.ones(hit.t.shape, bool), jnp.zeros(hit.t.shape, jnp.int32))
     keys = jax.random.split(key, index.shape[0])
-    return lax.scan(step, state, (keys, index < scattering.orders, index < bounces))[1]
+    return lax.scan(step, state, (keys, index < index.shape[0] - 1, index < bounces))[1]
 
 
 class _State(NamedTuple):
@@ -141,6 +148,7 @@ class _State(NamedTuple):
     length: Array
     vertex: Vertex | None
     open: Array
+    events: Array
 
 
 def _scattered(scene: Scene, direction: Array, key: Array) -> tuple[Array, Array]:

@@ -14,8 +14,8 @@ from jaxir.geometry.form_factor import disc_vector
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import gray_nodes
 from jaxir.transport.evaluate import evaluate
-from jaxir.transport.radiometry import radiometry
 from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import radiometry
 from tests.scenes import box_mesh, gray_box
 
 NODES = gray_nodes((jaxir.LWIR,))

@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir import Reflection, Scattering
+from jaxir import Scattering
 from jaxir.geometry.ray import Rays
-from jaxir.geometry.sampling import sample_hemisphere
 from jaxir.optics.band import gray_nodes
 from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
 from jaxir.transport.radiometry import radiometry
-from tests.scenes import box_mesh
 
 NODES = gray_nodes((jaxir.LWIR,))
 WARM, COLD = 400.0, 3.0
