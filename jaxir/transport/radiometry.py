@@ -16,7 +16,7 @@ from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import ParallelSource
 from jaxir.transport.jet import JetMedium, jet_medium
-from jaxir.transport.medium import AbstractMedium, GridMedium, grid_medium
+from jaxir.transport.medium import GridMedium, grid_medium
 
 
 class Radiometry(eqx.Module):
@@ -70,15 +70,16 @@ def radiometry(scene: Scene, nodes: Nodes) -> Radiometry:
     )
 
 
-def _at_cells(scene: Scene, medium: AbstractMedium | None, nodes: Nodes, source: ParallelSource) -> Array:
+def _at_cells(scene: Scene, medium: GridMedium | JetMedium | None, nodes: Nodes, source: ParallelSource) -> Array:
     """Irradiance of a beam at the centre of every cell, behind skin and plume [nx, ny, nz, node]."""
-    assert medium is not None and isinstance(scene.plume, GridPlume)
+    assert isinstance(medium, GridMedium) and medium.scattering is not None and isinstance(scene.plume, GridPlume)
     centre = lax.stop_gradient(scene.plume.grid.centres()).reshape(-1, 3)
     toward = jnp.broadcast_to(-source.direction, centre.shape)
-    passed = medium.transmittance(Rays(centre, toward), jnp.full(centre.shape[:1], jnp.inf, centre.dtype))
+    there = jnp.any(medium.scattering > 0, axis=-1).reshape(-1)  # a cell without particles costs no march
+    passed = medium.transmittance(Rays(centre, toward), jnp.where(there, jnp.inf, 0).astype(centre.dtype))
     if scene.skin is not None:
-        free, every = jnp.full(centre.shape[:1], -1, jnp.int32), jnp.ones(centre.shape[:1], bool)
-        hidden = occluded(scene.skin.mesh, centre, free, -source.direction, every)
+        free = jnp.full(centre.shape[:1], -1, jnp.int32)
+        hidden = occluded(scene.skin.mesh, centre, free, -source.direction, there)
         passed = jnp.where(hidden[:, None], 0, passed)
     return (passed * source.beam(nodes, centre[0])[None]).reshape((*scene.plume.grid.shape, nodes.count))
 
