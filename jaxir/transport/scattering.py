@@ -12,9 +12,9 @@ class Scattering(eqx.Module):
 
     Along every leg of a path the plume's emission is the exact sum over its cells and, in a gridded plume, light of
     parallel sources scattered once towards the eye is one, too, with each cell lit as its centre is: u0 (u0 + 2 u) / 24
-    of a cell's share is left out, u0 and u being its optical depths towards the source and along the leg. What is scattered more often is
-    sampled: one place on each leg, always in the plume (forced collision), lit there by sources that are near or have
-    an extent, and from there a direction drawn from the phase function, the next leg.
+    of a cell's share is left out, u0 and u being its optical depths towards the source and along the leg. What is
+    scattered more often is sampled: one place on each leg, always in the plume (forced collision), lit there by sources
+    that are near or have an extent, and from there a direction drawn from the phase function, the next leg.
 
     A path that meets reflecting skin while `Reflection.bounces` allow it goes on either from a particle or from the
     skin, as a photon would; it goes on max(orders, bounces) times at most.
