@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxir import StandardAtmosphere
+from jaxir.io.k_tables import Spectra
 from jaxir.optics.band import SECOND_RADIATION as C2
 from jaxir.optics.cold_path import altitude_along
 from jaxir.optics.correlated_k import BOLTZMANN
@@ -108,6 +109,9 @@ def cross_section(temperature: float, pressure: float, mole_fraction: float = 0.
     """On `GRID` [sample] [m2]; temperatures are rounded to 0.1 K. Own and foreign broadening are equal here."""
     rounded = round(float(temperature), 1)
     return spectrum(rounded, round(half_width(rounded, float(pressure)), 5))[1]
+
+
+SPECTRA = Spectra(GRID, {"CO2": cross_section}, "nu3 bands of CO2 from published constants")
 
 
 def absorption(temperature: float, pressure: float, mole_fraction: float) -> np.ndarray:

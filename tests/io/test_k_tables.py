@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.io.k_tables import GasState, KTables, load_k_tables, save_k_tables, slot_atmosphere, tabulate
+from jaxir.io.k_tables import GasState, KTables, Spectra, load_k_tables, save_k_tables, slot_atmosphere, tabulate
 from jaxir.optics.band import bin_edges
 from jaxir.optics.resolve import resolved_nodes
 
@@ -22,15 +22,15 @@ def absorber(strength, phase):
     return cross_section
 
 
-ABSORBERS = {"CO2": absorber(1e-26, 2.0), "H2O": absorber(1e-27, 3.7)}
+SPECTRA = Spectra(GRID, {"CO2": absorber(1e-26, 2.0), "H2O": absorber(1e-27, 3.7)}, "made up")
 
 
 @pytest.fixture(scope="module")
 def content():
-    tables = tabulate(ABSORBERS, GRID, NODES, [300.0, 900.0, 2000.0], [2e4, 1e5], [0.0, 0.3], progress=False)
+    tables = tabulate(SPECTRA, NODES, [300.0, 900.0, 2000.0], [2e4, 1e5], [0.0, 0.3], progress=False)
     hottest = GasState(1500.0, 1e5, {"CO2": 0.06, "H2O": 0.07})
-    air = slot_atmosphere(ABSORBERS, GRID, NODES, AIR, {"CO2": 4e-4}, hottest, 3, progress=False)
-    return KTables(NODES, tables, air, "made up")
+    air = slot_atmosphere(SPECTRA, NODES, AIR, {"CO2": 4e-4}, hottest, 3, progress=False)
+    return KTables(NODES, tables, air, SPECTRA.provenance)
 
 
 def test_round_trip(content, tmp_path, precision):
@@ -65,7 +65,7 @@ def test_without_air(content, tmp_path):
 def test_more_air_passes_less(content):
     half = jaxir.StandardAtmosphere(5e3, 10e3, 5773.0)
     hottest = GasState(1500.0, 1e5, {"CO2": 0.06, "H2O": 0.07})
-    less = slot_atmosphere(ABSORBERS, GRID, NODES, half, {"CO2": 4e-4}, hottest, 3, progress=False)
+    less = slot_atmosphere(SPECTRA, NODES, half, {"CO2": 4e-4}, hottest, 3, progress=False)
     assert np.all(np.asarray(less.given_transmittance) > np.asarray(content.air.given_transmittance))
     assert np.all(np.asarray(content.air.given_path_radiance) > 0)
 
@@ -96,8 +96,8 @@ def test_wrong_files_are_refused(content, tmp_path):
 def test_wrong_arguments_are_refused():
     hottest = GasState(1500.0, 1e5, {"CO2": 0.06})
     with pytest.raises(ValueError, match=r"amounts: got none for \['CO2'\]"):
-        slot_atmosphere(ABSORBERS, GRID, NODES, AIR, {}, hottest, progress=False)
+        slot_atmosphere(SPECTRA, NODES, AIR, {}, hottest, progress=False)
     with pytest.raises(ValueError, match="hottest.mole_fractions: got ..SO2"):
-        slot_atmosphere(ABSORBERS, GRID, NODES, AIR, {"CO2": 4e-4}, GasState(1e3, 1e5, {"SO2": 0.1}), progress=False)
+        slot_atmosphere(SPECTRA, NODES, AIR, {"CO2": 4e-4}, GasState(1e3, 1e5, {"SO2": 0.1}), progress=False)
     with pytest.raises(ValueError, match=r"absorber of CO2: got \(2000,\) values, expected \(1000,\)"):
-        tabulate(ABSORBERS, GRID[:1000], NODES, [300.0], [1e5], [0.0], progress=False)
+        tabulate(SPECTRA._replace(wavenumber=GRID[:1000]), NODES, [300.0], [1e5], [0.0], progress=False)

@@ -25,9 +25,7 @@ CO2_IN_AIR = 400e-6
 
 @pytest.fixture(scope="module")
 def raw_table():
-    return tabulate(
-        {"CO2": truth.cross_section}, truth.GRID, NODES, TEMPERATURES, PRESSURES, (0.0, 0.2), progress=False
-    )[0]
+    return tabulate(truth.SPECTRA, NODES, TEMPERATURES, PRESSURES, (0.0, 0.2), progress=False)[0]
 
 
 def cast(tree):
@@ -41,9 +39,7 @@ def paths():
 
     def path(name, temperature):
         hottest = GasState(temperature, 0.3 * ATMOSPHERE, {"CO2": 0.06})
-        return slot_atmosphere(
-            {"CO2": truth.cross_section}, truth.GRID, NODES, AIR[name], {"CO2": CO2_IN_AIR}, hottest, 8, progress=False
-        )
+        return slot_atmosphere(truth.SPECTRA, NODES, AIR[name], {"CO2": CO2_IN_AIR}, hottest, 8, progress=False)
 
     return path
 
@@ -115,9 +111,7 @@ def test_air_at_the_temperature_of_a_furnace_adds_what_it_takes():
     level = us_standard_1976()
     warm = Profile(level.altitude, jnp.full_like(level.altitude, 260.0), level.pressure, level.h2o, level.o3)
     air, hottest = StandardAtmosphere(0.0, 10e3, 11544.0, warm), GasState(1000.0, PLUME, {"CO2": 0.06})
-    path = slot_atmosphere(
-        {"CO2": truth.cross_section}, truth.GRID, NODES, air, {"CO2": CO2_IN_AIR}, hottest, 3, progress=False
-    )
+    path = slot_atmosphere(truth.SPECTRA, NODES, air, {"CO2": CO2_IN_AIR}, hottest, 3, progress=False)
     expected = (1 - path.transmittance(NODES)) * band_radiance(jnp.asarray(260.0), NODES)
     assert np.allclose(path.path_radiance(NODES), expected, rtol=1e-4, atol=1e-9)
 
@@ -140,7 +134,7 @@ def test_line_by_line_has_the_same_interface():
     """Bins as narrow as the grid, one quantile, one level per axis: the spectrum itself."""
     nodes = resolved_nodes(Band("lines", 1e4 / 2301, 1e4 / 2300), width=truth.STEP, points=1)
     inside = (truth.GRID > 2300 - 1e-6) & (truth.GRID < 2301 - 1e-6)
-    table = tabulate({"CO2": truth.cross_section}, truth.GRID, nodes, [1000.0], [PLUME], [0.0], progress=False)
+    table = tabulate(truth.SPECTRA, nodes, [1000.0], [PLUME], [0.0], progress=False)
     got = CorrelatedK(table, PLUME, {"CO2": 0.06}).absorption(nodes, jnp.asarray(1000.0))
     assert nodes.count == 250
     assert np.allclose(got, truth.absorption(1000.0, PLUME, 0.06)[inside], rtol=2e-5)
@@ -149,8 +143,8 @@ def test_line_by_line_has_the_same_interface():
 def test_species_overlap_at_random_in_squares():
     """Two gases of equal distribution, in a bin with a square of quantiles: the product of their transmittances."""
     nodes = resolved_nodes(Band("4.3", 1e4 / 2350, 1e4 / 2300), pair_points=8, overlap=((2300.0, 2350.0),))
-    absorbers = {"CO2": truth.cross_section, "H2O": truth.cross_section}
-    tables = tabulate(absorbers, truth.GRID, nodes, [1000.0], [PLUME], [0.0], progress=False)
+    both = truth.SPECTRA._replace(absorbers={"CO2": truth.cross_section, "H2O": truth.cross_section})
+    tables = tabulate(both, nodes, [1000.0], [PLUME], [0.0], progress=False)
 
     def mean(amounts):
         kappa = CorrelatedK(tables, PLUME, amounts).absorption(nodes, jnp.asarray(1000.0))
