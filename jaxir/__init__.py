@@ -22,6 +22,7 @@ from jaxir.optics.brdf_parts import BrdfPerFace as BrdfPerFace
 from jaxir.optics.brdf_table import BrdfTable as BrdfTable
 from jaxir.optics.cold_path import slant_range as slant_range
 from jaxir.optics.combustion import combustion_products as combustion_products
+from jaxir.optics.correlated_k import CorrelatedK as CorrelatedK
 from jaxir.optics.gas import GrayGas as GrayGas
 from jaxir.optics.microfacet import RoughConductor as RoughConductor
 from jaxir.optics.mie import mie_table as mie_table
