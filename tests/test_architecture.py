@@ -17,7 +17,18 @@ from tests.scenes import gray_box, plate
 
 render_module = importlib.import_module("jaxir.render")  # the package's attribute of that name is the function
 PACKAGE = Path(jaxir.__file__).parent
-FLOORS = {"optics": 0, "geometry": 0, "scene": 1, "transport": 2, "render": 3, "fit": 3, "io": 4}
+FLOORS = {
+    "optics": 0,
+    "geometry": 0,
+    "scene": 1,
+    "transport": 2,
+    "quantity": 3,
+    "render": 3,
+    "fit": 3,
+    "io": 4,
+    "plot": 4,
+    "command_line": 5,
+}
 
 
 def _room(module: str) -> str | None:
