@@ -22,6 +22,7 @@ from jaxir.optics.brdf_parts import BrdfPerFace as BrdfPerFace
 from jaxir.optics.brdf_table import BrdfTable as BrdfTable
 from jaxir.optics.cold_path import slant_range as slant_range
 from jaxir.optics.combustion import combustion_products as combustion_products
+from jaxir.optics.correlated_k import CorrelatedK as CorrelatedK
 from jaxir.optics.gas import GrayGas as GrayGas
 from jaxir.optics.microfacet import RoughConductor as RoughConductor
 from jaxir.optics.mie import mie_table as mie_table
@@ -62,7 +63,6 @@ from jaxir.scene.skin import Skin as Skin
 from jaxir.scene.sky import ElevationTable as ElevationTable
 from jaxir.scene.source import ParallelSource as ParallelSource
 from jaxir.transport.evaluate import evaluate as evaluate
-from jaxir.transport.evaluate import radiometry as radiometry
 from jaxir.transport.jet import resolve_jet as resolve_jet
 from jaxir.transport.path_estimator import CellSum as CellSum
 from jaxir.transport.path_estimator import CombinedIntegration as CombinedIntegration
@@ -70,9 +70,11 @@ from jaxir.transport.path_estimator import LineIntegration as LineIntegration
 from jaxir.transport.path_estimator import PointIntegration as PointIntegration
 from jaxir.transport.paths import store_crossings as store_crossings
 from jaxir.transport.paths import trace as trace
+from jaxir.transport.radiometry import radiometry as radiometry
 from jaxir.transport.reflection import AmbientTerm as AmbientTerm
 from jaxir.transport.reflection import BrdfSampling as BrdfSampling
 from jaxir.transport.reflection import ClosedForm as ClosedForm
 from jaxir.transport.reflection import LightSampling as LightSampling
 from jaxir.transport.reflection import MultipleImportance as MultipleImportance
 from jaxir.transport.reflection import Reflection as Reflection
+from jaxir.transport.scattering import Scattering as Scattering

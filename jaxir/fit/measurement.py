@@ -19,9 +19,10 @@ from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.scene.background import AbstractUniformBackground
 from jaxir.scene.jet import JetPlume
 from jaxir.scene.scene import Scene
-from jaxir.transport.evaluate import empty_radiance, evaluate, radiometry
+from jaxir.transport.evaluate import empty_radiance, evaluate
 from jaxir.transport.march import optical_depth
 from jaxir.transport.paths import Paths, store_crossings, trace
+from jaxir.transport.radiometry import radiometry
 
 
 class Measurement(eqx.Module):
