@@ -39,6 +39,8 @@ from jaxir.optics.planck import brightness_temperature as brightness_temperature
 from jaxir.optics.profile import us_standard_1976 as us_standard_1976
 from jaxir.optics.resolve import nodes_for as nodes_for
 from jaxir.optics.resolve import resolved_nodes as resolved_nodes
+from jaxir.quantity import alone as alone
+from jaxir.quantity import at_target as at_target
 from jaxir.render import Image as Image
 from jaxir.render import Outcome as Outcome
 from jaxir.render import Signature as Signature

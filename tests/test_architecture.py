@@ -17,7 +17,18 @@ from jaxir.transport.radiometry import radiometry
 from tests.scenes import gray_box, plate
 
 PACKAGE = Path(jaxir.__file__).parent
-FLOORS = {"optics": 0, "geometry": 0, "scene": 1, "transport": 2, "render": 3, "fit": 3, "io": 4}
+FLOORS = {
+    "optics": 0,
+    "geometry": 0,
+    "scene": 1,
+    "transport": 2,
+    "quantity": 3,
+    "render": 3,
+    "fit": 3,
+    "io": 4,
+    "plot": 4,
+    "command_line": 5,
+}
 
 
 def _room(module: str) -> str | None:
