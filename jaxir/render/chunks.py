@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
-from tqdm import tqdm
 
 from jaxir._arrays import Check
 from jaxir.geometry.camera import TILE, Camera, stratum_points
@@ -25,6 +23,7 @@ from jaxir.transport.reflection import Reflection, reflection_of
 from jaxir.transport.scattering import Scattering, scattering_of
 
 TILES_AT_ONCE = 64  # 16384 rays: bounds memory whatever the image
+PARTS = 8  # chunks of a small image, for so many devices to share
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
 
 
@@ -74,26 +73,52 @@ class Estimate(NamedTuple):
 compiled_radiometry = eqx.filter_jit(radiometry)
 
 
-def chunk_size(camera: Camera, scene: Scene, method: Method) -> int:
-    """Tiles handled at once: fewer where a ray carries many samples."""
-    each = -(-method.samples(scene) // SAMPLES_AT_ONCE)
-    return min(max(TILES_AT_ONCE // each, 1), camera.tiles[0] * camera.tiles[1])
+class Pass(NamedTuple):
+    """One pass over the pixels of an image.
+
+    Attributes:
+        optical: the scene on the nodes.
+        camera: the eye.
+        key: random key.
+        strata: columns and rows of strata in a pixel.
+        method: how radiance is found.
+        parts: chunks into which a small image is cut all the same.
+    """
+
+    optical: Radiometry
+    camera: Camera
+    key: Array
+    strata: tuple[int, int]
+    method: Method
+    parts: int = PARTS
+
+    @property
+    def size(self) -> int:
+        """Tiles of a chunk: fewer where a ray carries many samples, and in images of less than `parts` full chunks."""
+        each = -(-self.method.samples(self.optical.scene) // SAMPLES_AT_ONCE)
+        return min(max(TILES_AT_ONCE // each, 1), -(-self.tiles // self.parts))
+
+    @property
+    def tiles(self) -> int:
+        """Tiles of the image."""
+        return self.camera.tiles[0] * self.camera.tiles[1]
+
+    def chunks(self) -> Int[Array, " chunk"]:
+        """Numbers of the chunks; the last may run past the image."""
+        return jnp.arange(-(-self.tiles // self.size), dtype=jnp.int32)
 
 
-def chunk_begins(camera: Camera, size: int) -> Int[Array, " chunk"]:
-    """First tile of each chunk; the last chunk may run past the image."""
-    return jnp.arange(-(-camera.tiles[0] * camera.tiles[1] // size), dtype=jnp.int32) * size
-
-
-def whole_image(optical: Radiometry, camera: Camera, parts: Estimate, samples: int) -> Image:
+def whole_image(taken: Pass, parts: Estimate) -> Image:
     """The image of the estimates of all chunks, stacked."""
+    camera = taken.camera
     mean, variance = _untile(camera, parts.mean), _untile(camera, parts.variance)
     empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else _untile(camera, parts.empty)
     orders = None
     if parts.orders is not None:
         orders = _untile(camera, parts.orders.reshape((*parts.orders.shape[:3], -1)))
         orders = orders.reshape((*orders.shape[:2], 2, -1))
-    return image_of(camera, optical.nodes.names, mean, variance, empty, samples, orders)
+    samples = 2 * taken.strata[0] * taken.strata[1]
+    return image_of(camera, taken.optical.nodes.names, mean, variance, empty, samples, orders)
 
 
 def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
@@ -103,22 +128,11 @@ def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Flo
 
 
 @eqx.filter_jit
-def estimate_chunk(
-    optical: Radiometry, camera: Camera, key: Array, begin: Int[Array, ""], strata: tuple[int, int], method: Method
-) -> Estimate:
-    """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles.
-
-    Args:
-        optical: the scene on the nodes.
-        camera: the eye.
-        key: random key.
-        begin: first tile of the chunk.
-        strata: columns and rows of strata in a pixel.
-        method: how radiance is found.
-    """
-    size = chunk_size(camera, optical.scene, method)
-    start = optical.scene.radius(camera.target)
-    tile = begin + jnp.arange(size, dtype=jnp.int32)
+def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
+    """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles."""
+    optical, camera, key, strata, method, _ = taken
+    size, start = taken.size, optical.scene.radius(camera.target)
+    tile = chunk * size + jnp.arange(size, dtype=jnp.int32)
     background = optical.scene.background
     uniform = background is None or isinstance(background, AbstractUniformBackground)
 
@@ -139,7 +153,7 @@ def estimate_chunk(
         )
 
     def stratum(carry: tuple[_Seen, Array], index: Array) -> tuple[tuple[_Seen, Array], None]:
-        own = jax.random.fold_in(key, begin)
+        own = jax.random.fold_in(key, chunk)
         offset = stratum_points(own, index, size, strata)
         anew = jax.random.fold_in(jax.random.fold_in(own, index), 1)
         pair = lax.map(sample, (offset, jax.random.split(anew, 2)))
@@ -163,21 +177,6 @@ class _Seen(NamedTuple):
     radiance: Array
     empty: Array | None
     orders: Array | None
-
-
-def is_traced(inputs: Any) -> bool:
-    """Whether any value is known only inside a transformation."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(inputs))
-
-
-def over_items(function: Callable[[Array], Any], items: Array, inputs: Any, label: str) -> Any:
-    """Map over items: one compiled loop when `inputs` are traced, else a loop on the host behind a progress bar."""
-    if is_traced(inputs):
-        return lax.map(function, items)
-    results = []
-    for item in tqdm(items, desc=label, delay=5, leave=False):
-        results.append(jax.block_until_ready(function(item)))
-    return jax.tree.map(lambda *parts: jnp.stack(parts), *results)
 
 
 def eye_outside(scene: Scene, camera: Camera) -> Check:

@@ -6,22 +6,14 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
+from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
 from jaxir._arrays import enforce
 from jaxir.geometry.camera import Camera, pixel_strata
 from jaxir.optics.band import Band, Nodes, as_nodes
-from jaxir.render.chunks import (
-    chunk_begins,
-    chunk_size,
-    compiled_radiometry,
-    estimate_chunk,
-    eye_outside,
-    is_traced,
-    method_of,
-    over_items,
-    whole_image,
-)
+from jaxir.render.chunks import PARTS, Pass, compiled_radiometry, estimate_chunk, eye_outside, method_of, whole_image
+from jaxir.render.devices import is_traced, over_items, shared_by
 from jaxir.render.image import Image, Outcome, joined, meets
 from jaxir.scene.scene import Scene
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
@@ -41,6 +33,7 @@ def render(
     rtol: float | None = None,
     max_samples: int = 4096,
     path: AbstractPathEstimator = CellSum(),  # noqa: B008
+    devices: Mesh | None = None,
 ) -> Image:
     """Radiance image of a scene.
 
@@ -66,6 +59,9 @@ def render(
             most rtol times the intensity; None takes one pass. `Image.outcome` says whether it was met.
         max_samples: rays per pixel at which to give up.
         path: estimator of a gridded plume's radiance along a ray; the exact sum over cells unless asked otherwise.
+        devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
+            `jax.distributed.initialize`, in many; every process gets the whole image. The numbers are those of one
+            device; for more than `PARTS` = 8 devices and fewer than 8 full chunks they are drawn anew.
 
     Returns:
         The image. Memory beyond it is bounded by `TILES_AT_ONCE` tiles of 256 rays.
@@ -81,21 +77,17 @@ def render(
     key = jax.random.key(0) if key is None else key
     method = method_of(scene, reflection, scattering, path)
     nodes = enforce(nodes, [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)])
-    optical = compiled_radiometry(scene, nodes)
+    parts = PARTS if devices is None else max(PARTS, devices.size)
+    first = Pass(compiled_radiometry(scene, nodes), camera, key, strata, method, parts)
+    mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 
     def take(own: Array) -> Image:
-        begins = chunk_begins(camera, chunk_size(camera, scene, method))
-        parts = over_items(
-            lambda begin: estimate_chunk(optical, camera, own, begin, strata, method),
-            begins,
-            (optical, camera, own, method),
-            "render",
-        )
-        return whole_image(optical, camera, parts, samples)
+        taken = first._replace(key=own)
+        return whole_image(taken, over_items(estimate_chunk, taken, taken.chunks(), "render", mesh))
 
     if rtol is None:
         return take(key)
-    if is_traced((optical, camera, key, method)):
+    if is_traced(first):
         raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
     if not rtol > 0 or max_samples < samples:
         raise ValueError(

@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Key
+from jax.sharding import Mesh
+from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, as_float, enforce
 from jaxir.geometry.camera import Camera, fitted_camera, pixel_strata
 from jaxir.optics.band import Band, Nodes, as_nodes
-from jaxir.render.chunks import (
-    Method,
-    chunk_begins,
-    chunk_size,
-    compiled_radiometry,
-    estimate_chunk,
-    eye_outside,
-    method_of,
-    over_items,
-    whole_image,
-)
+from jaxir.render.chunks import Method, Pass, compiled_radiometry, estimate_chunk, eye_outside, method_of, whole_image
+from jaxir.render.devices import over_items, shared_by
 from jaxir.scene.scene import Scene
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.radiometry import Radiometry
@@ -54,6 +46,28 @@ class Signature(eqx.Module):
     missing: Float[Array, "view band"]
 
 
+class Views(NamedTuple):
+    """What is seen from where, ready to be computed view by view.
+
+    Attributes:
+        optical: the scene on the nodes.
+        cameras: of all views [view].
+        keys: of all views [view]; those of the first views do not depend on how many follow.
+        strata: columns and rows of strata in a pixel.
+        method: how radiance is found.
+        azimuth: [view] [deg].
+        elevation: [view] [deg].
+    """
+
+    optical: Radiometry
+    cameras: Camera
+    keys: Array
+    strata: tuple[int, int]
+    method: Method
+    azimuth: Array
+    elevation: Array
+
+
 def signature(
     scene: Scene,
     views: Any,
@@ -66,6 +80,7 @@ def signature(
     reflection: Reflection | None = None,
     scattering: Scattering | None = None,
     path: AbstractPathEstimator = CellSum(),  # noqa: B008
+    devices: Mesh | None = None,
 ) -> Signature:
     """Radiant intensity of a scene over aspects, all of them under one compilation.
 
@@ -83,44 +98,65 @@ def signature(
         reflection: as `render`.
         scattering: as `render`.
         path: as `render`.
+        devices: as `render`; views are shared out.
 
     Returns:
         The table.
 
     Raises:
-        ValueError: as `render`; `views` of another shape.
+        ValueError: as `render`; `views` of another shape; more devices than views.
 
     Differentiable as `render`.
     """
+    asked = prepare_views(
+        scene,
+        views,
+        bands,
+        distance=distance,
+        shape=shape,
+        samples=samples,
+        key=key,
+        method=method_of(scene, reflection, scattering, path),
+    )
+    index = jnp.arange(asked.azimuth.shape[0], dtype=jnp.int32)
+    mesh = shared_by(devices, index.shape[0], "views")
+    intensity, error, missing = over_items(view_intensity, asked, index, "signature", mesh)
+    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.optical.nodes.names, missing)
+
+
+def prepare_views(
+    scene: Scene,
+    views: Any,
+    bands: Nodes | Band | Sequence[Band],
+    *,
+    distance: Any,
+    shape: tuple[int, int],
+    samples: int,
+    key: Key[Array, ""] | None,
+    method: Method,
+) -> Views:
+    """Check what `signature` is asked and make it ready; arguments and errors as there."""
     aspect = as_float(views, "views")
     if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     nodes = as_nodes(bands)
-    strata = pixel_strata(samples)
     base = jax.random.key(0) if key is None else key
     extent = lax.stop_gradient(scene.extent())  # a camera follows the outline of a jet but does not belong to it
     cameras = jax.vmap(lambda a: fitted_camera(a[0], a[1], extent, shape, distance))(aspect)
     outside = jax.vmap(lambda camera: eye_outside(scene, camera).value)(cameras)
     eye = Check("signature: (radius of the scene) / distance", outside, outside < 1, "less than 1: sensors outside it")
-    method = method_of(scene, reflection, scattering, path)
     nodes = enforce(nodes, [*scene.checks(), *cameras.checks(), eye, *method.checks(scene)])
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(base, jnp.arange(aspect.shape[0], dtype=jnp.uint32))
     optical = compiled_radiometry(scene, nodes)
-    keys = jax.random.split(base, aspect.shape[0])
-
-    def view(index: Array) -> tuple[Array, Array, Array]:
-        return _view(optical, jax.tree.map(lambda leaf: leaf[index], cameras), keys[index], strata, method)
-
-    index = jnp.arange(aspect.shape[0], dtype=jnp.int32)
-    intensity, error, missing = over_items(view, index, (optical, cameras, keys, method), "signature")
-    return Signature(aspect[:, 0], aspect[:, 1], intensity, error, nodes.names, missing)
+    return Views(optical, cameras, keys, pixel_strata(samples), method, aspect[:, 0], aspect[:, 1])
 
 
 @eqx.filter_jit
-def _view(
-    optical: Radiometry, camera: Camera, key: Array, strata: tuple[int, int], method: Method
+def view_intensity(
+    views: Views, index: Int[Array, ""]
 ) -> tuple[Float[Array, " band"], Float[Array, " band"], Float[Array, " band"]]:
     """Contrast intensity of one view, its standard error, and the share missing from it."""
-    begins = chunk_begins(camera, chunk_size(camera, optical.scene, method))
-    parts = lax.map(lambda begin: estimate_chunk(optical, camera, key, begin, strata, method), begins)
-    image = whole_image(optical, camera, parts, 2 * strata[0] * strata[1])
+    camera, key = jax.tree.map(lambda leaf: leaf[index], (views.cameras, views.keys))
+    taken = Pass(views.optical, camera, key, views.strata, views.method)
+    image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), taken.chunks()))
     return image.radiant_intensity(), image.intensity_error(), image.missing()
