@@ -178,7 +178,7 @@ def _scene_of(read: SceneFile, quantity: str) -> Scene:
     if quantity == "apparent":
         return read.scene
     scene = at_target(read.scene)
-    return scene if quantity == "contrast" else alone(scene, read.reflection)
+    return scene if quantity == "contrast" else alone(scene)
 
 
 def _quantities(arguments: argparse.Namespace) -> dict[str, str]:
@@ -216,10 +216,10 @@ def _render(arguments: argparse.Namespace) -> None:
         scene = _scene_of(read, quantity)
         for name, camera in read.cameras.items():
             began = time.perf_counter()
-            image = _of(
-                read, lambda s=scene, c=camera: render(s, c, read.bands, reflection=read.reflection, **read.render)
-            )
-            _warn_unmet(image, read)
+            image = _of(read, lambda s=scene, c=camera: render(s, c, read.bands, **_light(read), **read.render))
+            if bool(image.outcome == Outcome.samples_spent):
+                warnings.warn(f"{read.file}: render.rtol was not met with {int(image.samples)} samples", stacklevel=1)
+            _warn_of_missing(read, image.missing())
             intensity, error = np.asarray(image.radiant_intensity()), np.asarray(image.intensity_error())
             conditions = _conditions(read, quantity, began, **_camera_conditions(name, camera, image))
             print(f"{name or 'image'}, {quantity} [W/sr]: {_per_band(image.bands, intensity, error)}")
@@ -231,9 +231,16 @@ def _camera_conditions(name: str, camera: Camera, image: Image) -> dict[str, str
     return {"camera": name or "camera", "samples": int(image.samples), "unit": "W m-2 sr-1"}
 
 
-def _warn_unmet(image: Image, read: SceneFile) -> None:
-    if bool(image.outcome == Outcome.samples_spent):
-        warnings.warn(f"{read.file}: render.rtol was not met with {int(image.samples)} samples", stacklevel=2)
+def _light(read: SceneFile) -> dict[str, Any]:
+    """How light is found, for `render` and `signature`."""
+    return {"reflection": read.reflection, "scattering": read.scattering}
+
+
+def _warn_of_missing(read: SceneFile, missing: Any) -> None:
+    """Say what orders of scattering beyond the last would add, where it is more than 1 %."""
+    share = float(np.max(np.asarray(missing)))
+    if share > 0.01:
+        warnings.warn(f"{read.file}: scattering.orders leaves out about {share:.0%} of the intensity", stacklevel=2)
 
 
 def _signature(arguments: argparse.Namespace) -> None:
@@ -246,7 +253,8 @@ def _signature(arguments: argparse.Namespace) -> None:
         raise ValueError(f"{read.file}: got no key signature.views, expected it for signature")
     for quantity, label in quantities.items():
         scene, began = _scene_of(read, quantity), time.perf_counter()
-        table = _of(read, lambda s=scene: signature(s, bands=read.bands, reflection=read.reflection, **read.signature))
+        table = _of(read, lambda s=scene: signature(s, bands=read.bands, **_light(read), **read.signature))
+        _warn_of_missing(read, table.missing)
         value, error = np.asarray(table.intensity), np.asarray(table.standard_error)
         largest = np.argmax(value, axis=0), np.arange(value.shape[1])
         print(

@@ -15,7 +15,6 @@ plume hide of it.
 from __future__ import annotations
 
 from jaxir.scene.scene import Scene
-from jaxir.transport.reflection import Reflection, reflection_of
 
 
 def at_target(scene: Scene) -> Scene:
@@ -23,16 +22,7 @@ def at_target(scene: Scene) -> Scene:
     return Scene(scene.skin, scene.plume, scene.sources, scene.background)
 
 
-def alone(scene: Scene, reflection: Reflection | None = None) -> Scene:
-    """The scene before nothing: its background still lights the skin, as `reflection` has it, but is not seen.
-
-    Args:
-        scene: the scene.
-        reflection: what `render` or `signature` will be called with.
-
-    Returns:
-        The scene; its background, if it lights the skin at all, is among the sources.
-    """
-    if scene.background is None or reflection_of(scene, reflection) is None:
-        return Scene(scene.skin, scene.plume, scene.sources, None, scene.atmosphere)
-    return Scene(scene.skin, scene.plume, (*scene.sources, scene.background), None, scene.atmosphere)
+def alone(scene: Scene) -> Scene:
+    """The scene before nothing: its background lights what it lights, but is not seen."""
+    hidden = () if scene.background is None else (scene.background,)
+    return Scene(scene.skin, scene.plume, (*scene.sources, *hidden), None, scene.atmosphere)

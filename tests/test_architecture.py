@@ -22,7 +22,7 @@ FLOORS = {
     "geometry": 0,
     "scene": 1,
     "transport": 2,
-    "quantity": 3,
+    "quantity": 2,
     "render": 3,
     "fit": 3,
     "io": 4,

@@ -33,7 +33,7 @@ def test_images_share_a_scale_per_band():
 
 def signature(azimuth, elevation, value):
     azimuth, elevation, value = (jnp.asarray(a, jnp.float32) for a in (azimuth, elevation, value))
-    return jaxir.Signature(azimuth, elevation, value[:, None], 0 * value[:, None], ("MWIR",))
+    return jaxir.Signature(azimuth, elevation, value[:, None], 0 * value[:, None], ("MWIR",), 0 * value[:, None])
 
 
 def test_a_signature_closes_its_circle_and_marks_what_is_negative():

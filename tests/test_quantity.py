@@ -36,21 +36,23 @@ def test_radiances_of_a_plate(reflection):
     for made, want in (
         (full, (0.5 * skin + 1, 0.5 * LEVEL + 1)),
         (bare, (skin, LEVEL)),
-        (jaxir.alone(bare, reflection), (skin, 0.0)),
-        (jaxir.alone(full, reflection), (0.5 * skin + 1, 1.0)),
+        (jaxir.alone(bare), (skin, 0.0)),
+        (jaxir.alone(full), (0.5 * skin + 1, 1.0)),
     ):
         np.testing.assert_allclose(seen(made, reflection), want, rtol=1e-5)
 
 
 def test_a_background_that_is_not_seen_is_sampled_as_one_that_is():
     bare = jaxir.at_target(scene())
-    np.testing.assert_array_equal(seen(jaxir.alone(bare, ROUND), ROUND, 8)[:8], seen(bare, ROUND, 8)[:8])
+    np.testing.assert_array_equal(seen(jaxir.alone(bare), ROUND, 8)[:8], seen(bare, ROUND, 8)[:8])
 
 
-def test_a_background_that_lights_nothing_is_dropped():
-    assert jaxir.alone(scene()).sources == () and jaxir.alone(scene()).background is None
-    gas = jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), 0.5), background=jaxir.UniformBackground(1.0))
-    assert jaxir.alone(gas, ROUND).sources == ()
-    disc = jaxir.DiscSource((3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 1.0, 1.0)
-    kept = jaxir.alone(scene(sources=(disc,)))  # an area source brings a reflection, which finds the background too
-    assert len(kept.sources) == 2 and kept.surroundings == (kept.sources[1],)
+def test_particles_scatter_a_background_that_is_not_seen():
+    """What a plume shows of a background is what it lets through and what it scatters; only the first is hidden."""
+    particles = jaxir.GrayParticles(0.7, 1.0, jaxir.HenyeyGreenstein(0.5))
+    box = gray_box((1.0, 1.0, 1.0), 0.0, temperature=3.0)  # that absorbs nothing and, so cold, emits nothing
+    plume = jaxir.GridPlume(box.grid, box.temperature, box.gas, particles)
+    full = jaxir.Scene(plume=plume, background=jaxir.UniformBackground(LEVEL))
+    shown, scattered = seen(full, count=8), seen(jaxir.alone(full), count=8)
+    np.testing.assert_allclose(shown[:8] - scattered[:8], LEVEL * np.exp(-0.7), rtol=1e-5)
+    assert scattered[:8].min() > 0 and scattered[8] == 0 and shown[8] == pytest.approx(LEVEL)

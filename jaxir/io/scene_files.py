@@ -10,6 +10,7 @@ Every table describes one object: `type` names the class or function, the other 
     [atmosphere]  the air in front
     [camera]      for `render`; [[camera]] with names for several
     [reflection]  how light is found that is reflected by the skin
+    [scattering]  how often light is scattered by particles
     [resolve_jet] tolerance to which a jet is integrated
     [render]      parameters of `jaxir.render`
     [signature]   parameters of `jaxir.signature`, its `views` among them
@@ -41,7 +42,17 @@ from jaxir.io.entries import (
     text,
 )
 from jaxir.io.skins import read_skin
-from jaxir.io.vocabulary import ATMOSPHERES, BACKGROUNDS, CAMERAS, PLUMES, READERS, RENDER_READERS, SOURCES, band_list
+from jaxir.io.vocabulary import (
+    ATMOSPHERES,
+    BACKGROUNDS,
+    CAMERAS,
+    PLUMES,
+    READERS,
+    RENDER_READERS,
+    SOURCES,
+    band_list,
+    k_nodes,
+)
 from jaxir.optics.band import Nodes, gray_nodes
 from jaxir.optics.resolve import resolved_nodes
 from jaxir.render import render, signature
@@ -50,9 +61,8 @@ from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
 from jaxir.scene.skin import Skin
 from jaxir.transport.jet import resolve_jet
-from jaxir.transport.reflection import (
-    Reflection,
-)
+from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
 
 
 class SceneFile(NamedTuple):
@@ -64,6 +74,7 @@ class SceneFile(NamedTuple):
         bands: spectral nodes.
         cameras: by name.
         reflection: how reflected light is found; None for the default.
+        scattering: how often light is scattered by particles; None for the default.
         render: other parameters of `jaxir.render`.
         signature: other parameters of `jaxir.signature`, `views` among them.
         notes: what reading computed fields did to them.
@@ -74,6 +85,7 @@ class SceneFile(NamedTuple):
     bands: Nodes
     cameras: dict[str, Camera]
     reflection: Reflection | None
+    scattering: Scattering | None
     render: dict[str, Any]
     signature: dict[str, Any]
     notes: tuple[str, ...]
@@ -85,7 +97,8 @@ class SceneFile(NamedTuple):
         if scene.plume is not None:
             hot = scene.plume.exit_temperature if isinstance(scene.plume, JetPlume) else scene.plume.temperature
             kind, gas = type(scene.plume).__name__, type(scene.plume.gas).__name__
-            lines.append(f"plume: {kind} of {gas}, up to {float(np.max(np.asarray(hot))):.4g} K")
+            with_ = "" if scene.plume.particles is None else f" with {type(scene.plume.particles).__name__}"
+            lines.append(f"plume: {kind} of {gas}{with_}, up to {float(np.max(np.asarray(hot))):.4g} K")
         lines += [f"source: {type(source).__name__}" for source in scene.sources]
         for name, part in (("background", scene.background), ("atmosphere", scene.atmosphere)):
             lines.append(f"{name}: {'none' if part is None else type(part).__name__}")
@@ -112,6 +125,7 @@ def _describe_skin(skin: Skin) -> list[str]:
     return lines
 
 
+ELSEWHERE = ("scene", "camera", "bands", "reflection", "scattering")  # parameters with a section of their own
 SECTIONS = (
     "bands",
     "skin",
@@ -121,6 +135,7 @@ SECTIONS = (
     "atmosphere",
     "camera",
     "reflection",
+    "scattering",
     "resolve_jet",
     "render",
     "signature",
@@ -160,14 +175,14 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
     except ValueError as error:
         raise whole.failed(error) from error
     reflection = _reflection(parts["reflection"], scene) if "reflection" in parts else None
-    asked = ("scene", "camera", "views", "bands", "reflection")
     return SceneFile(
         file=whole.file,
         scene=scene,
         bands=bands,
         cameras=_cameras(parts["camera"]) if "camera" in parts else {},
         reflection=reflection,
-        render=arguments(parts["render"], render, RENDER_READERS, asked) if "render" in parts else {},
+        scattering=construct(parts["scattering"], Scattering, READERS) if "scattering" in parts else None,
+        render=arguments(parts["render"], render, RENDER_READERS, ELSEWHERE) if "render" in parts else {},
         signature=_signature(parts["signature"]) if "signature" in parts else {},
         notes=notes,
     )
@@ -176,7 +191,7 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
 def _bands(entry: Entry) -> Nodes:
     if isinstance(entry.value, list):
         return gray_nodes(band_list(entry))
-    return build(entry, {"resolved_nodes": resolved_nodes, "gray_nodes": gray_nodes}, READERS)
+    return build(entry, {"resolved_nodes": resolved_nodes, "gray_nodes": gray_nodes, "k_nodes": k_nodes}, READERS)
 
 
 def _plume(entry: Entry) -> tuple[GridPlume | JetPlume, tuple[str, ...]]:
@@ -219,7 +234,7 @@ def _cameras(entry: Entry) -> dict[str, Camera]:
 
 def _signature(entry: Entry) -> dict[str, Any]:
     readers = {**RENDER_READERS, "views": _views, "distance": positive_or_infinite}
-    return arguments(entry, signature, readers, ("scene", "bands", "reflection"))
+    return arguments(entry, signature, readers, ELSEWHERE)
 
 
 def _views(entry: Entry) -> np.ndarray:

@@ -6,6 +6,7 @@ A new gas, brdf, light, atmosphere is one line here; a new parameter of one is n
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -19,6 +20,7 @@ from jaxir.io.entries import (
     Entry,
     Reader,
     build,
+    construct,
     existing_file,
     integer,
     number,
@@ -27,15 +29,20 @@ from jaxir.io.entries import (
     sizes,
     text,
 )
+from jaxir.io.k_tables import load_k_tables
 from jaxir.io.meshes import METRES
-from jaxir.optics.band import LWIR, MWIR, SWIR, Band, sensor_band
+from jaxir.optics.band import LWIR, MWIR, SWIR, Band, Nodes, sensor_band
 from jaxir.optics.brdf import Lambert
 from jaxir.optics.brdf_table import BrdfTable
 from jaxir.optics.combustion import combustion_products
+from jaxir.optics.correlated_k import CorrelatedK, CrossSections
 from jaxir.optics.gas import GrayGas
 from jaxir.optics.microfacet import RoughConductor
+from jaxir.optics.mie import mie_table
 from jaxir.optics.narrow_band import NarrowBandGas
 from jaxir.optics.paint import SandfordRobertson
+from jaxir.optics.particles import GrayParticles, Particles
+from jaxir.optics.phase import HenyeyGreenstein, Isotropic, TabulatedPhase
 from jaxir.optics.profile import Profile, us_standard_1976
 from jaxir.scene.air_path import StandardAtmosphere, TableAtmosphere, UniformAtmosphere
 from jaxir.scene.atmosphere import FixedPath
@@ -90,6 +97,45 @@ def band_list(entry: Entry) -> tuple[Band, ...]:
     return bands
 
 
+def k_nodes(path: Path) -> Nodes:
+    """The nodes of tables of cross-sections, see `jaxir.io.k_tables`."""
+    return load_k_tables(path).nodes
+
+
+def k_air(path: Path) -> FixedPath:
+    """The air of tables of cross-sections, on their nodes.
+
+    Raises:
+        ValueError: the file holds none.
+    """
+    air = load_k_tables(path).air
+    if air is None:
+        raise ValueError(f"{path}: holds no air, expected tables saved with that of `slot_atmosphere`")
+    return air
+
+
+def _k_tables(entry: Entry) -> tuple[CrossSections, ...]:
+    def tables(path: Path) -> tuple[CrossSections, ...]:
+        return load_k_tables(path).tables
+
+    return construct(entry, tables, READERS)
+
+
+def _refractive_index(entry: Entry) -> Any:
+    """n - i k of `{ n, k }`, numbers or one per wavelength."""
+    parts = entry.only(["n", "k"], ["n", "k"])
+    return np.asarray(numbers(parts["n"])) - 1j * np.asarray(numbers(parts["k"]))
+
+
+def _mie(entry: Entry) -> Any:
+    readers = {"index": _refractive_index, "angles": integer, "sizes": integer}
+    return build(entry, {"mie_table": mie_table}, readers)
+
+
+def _number_table(entry: Entry) -> dict[str, Any]:
+    return {name: numbers(child) for name, child in entry.children().items()}
+
+
 def _field_values(entry: Entry) -> dict[str, float]:
     return {name: number(child) for name, child in entry.children().items()}
 
@@ -114,7 +160,14 @@ BRDFS: dict[str, Callable] = {
 GASES: dict[str, Callable] = {
     "GrayGas": GrayGas,
     "NarrowBandGas": NarrowBandGas,
+    "CorrelatedK": CorrelatedK,
     "combustion_gas": combustion_gas,
+}
+PARTICLES: dict[str, Callable] = {"Particles": Particles, "GrayParticles": GrayParticles}
+PHASES: dict[str, Callable] = {
+    "Isotropic": Isotropic,
+    "HenyeyGreenstein": HenyeyGreenstein,
+    "TabulatedPhase": TabulatedPhase,
 }
 PLUMES: dict[str, Callable] = {"GridPlume": GridPlume, "JetPlume": JetPlume}
 SOURCES: dict[str, Callable] = {
@@ -135,6 +188,7 @@ ATMOSPHERES: dict[str, Callable] = {
     "TableAtmosphere": TableAtmosphere,
     "load_atmosphere_csv": load_atmosphere_csv,
     "load_tape7": load_tape7,
+    "k_air": k_air,
 }
 PROFILES: dict[str, Callable] = {"us_standard_1976": us_standard_1976, "Profile": Profile}
 CAMERAS: dict[str, Callable] = {
@@ -174,19 +228,26 @@ READERS: dict[str, Reader] = {
     "brdfs": integer,
     "coefficient": _per_node,
     "direct": _of(DIRECT),
+    "extinction": _per_node,
     "fields": _field_values,
     "gas": _of(GASES),
     "grid": _of({"Grid": Grid}),
     "lights": integer,
+    "mole_fractions": _number_table,
     "name": text,
+    "orders": integer,
     "pair_points": integer,
     "panels": integer,
+    "particles": _of(PARTICLES),
     "path": existing_file,
+    "phase": _of(PHASES),
     "points": integer,
     "profile": _of(PROFILES),
     "sampler": _of(SAMPLERS),
     "samples": integer,
     "shape": sizes,
+    "table": _mie,
+    "tables": _k_tables,
     "unit": one_of(list(METRES)),
 }
 RENDER_READERS: dict[str, Reader] = {

@@ -27,7 +27,7 @@ class Scene(eqx.Module):
         skin: opaque surface.
         plume: emitting and absorbing gas.
         sources: lights, without extent (`ParallelSource`, `PointSource`) and with (`DiscSource`, `SphereSource`, or
-            a background). They light the skin; a camera does not see them, and they cast no shadow.
+            a background). They light skin and particles; a camera does not see them, and they cast no shadow.
         background: what rays see that meet nothing.
         atmosphere: the path from the target to the sensor.
     """
@@ -54,7 +54,7 @@ class Scene(eqx.Module):
 
     @property
     def surroundings(self) -> tuple[AbstractBackground, ...]:
-        """What can light the skin from all around: backgrounds among the sources, and the background."""
+        """What can light skin and particles from all around: backgrounds among the sources, and the background."""
         hidden = tuple(source for source in self.sources if isinstance(source, AbstractBackground))
         return hidden if self.background is None else (*hidden, self.background)
 

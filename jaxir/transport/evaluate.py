@@ -111,7 +111,7 @@ def unoccluded_radiance(optical: Radiometry, toward: Float[Array, " 3"]) -> Floa
     mesh = optical.scene.skin.mesh
     face = jnp.arange(mesh.count, dtype=jnp.int32)
     normal = face_normal(mesh, face)
-    sources = optical.scene.sources
+    sources = optical.scene.delta_sources
     lit = jnp.ones((len(sources), mesh.count), bool) if sources else None
     centre = jnp.mean(mesh.corners(), axis=1)
     return leaving(optical, Vertex(face, centre, normal, jnp.broadcast_to(toward, normal.shape), lit), None, None)

@@ -105,6 +105,15 @@ def background_radiance(optical: Radiometry, direction: Array) -> Array:
     return background.radiance(optical.nodes, direction)
 
 
+def surrounding_radiance(optical: Radiometry, direction: Array) -> Array:
+    """What legs that leave the scene find [*batch, node]: the background, and those that the eye does not see."""
+    found = background_radiance(optical, direction)
+    for hidden in optical.scene.surroundings:
+        if hidden is not optical.scene.background:
+            found = found + hidden.radiance(optical.nodes, direction)
+    return found
+
+
 def through_plume(optical: Radiometry, rays: Rays, length: Array, behind: Array) -> Array:
     """Radiance at the origins of rays that end after `length` [ray], where `behind` [ray, node] enters them."""
     return behind if optical.medium is None else optical.medium.leg(rays, length, behind)

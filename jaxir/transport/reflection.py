@@ -233,10 +233,10 @@ class Reflection(eqx.Module):
 
 
 def reflection_of(scene: Scene, given: Reflection | None) -> Reflection | None:
-    """What is asked, or `Reflection()` for sources with an extent; None: delta sources alone, nothing sampled."""
+    """What is asked, or `Reflection()` for a scene with area sources; None: delta sources alone, nothing sampled."""
     if scene.skin is None:
         return None
-    return Reflection() if given is None and len(scene.delta_sources) < len(scene.sources) else given
+    return Reflection() if given is None and scene.area_sources else given
 
 
 def _count(field: str, value: int, least: int = 1) -> int:

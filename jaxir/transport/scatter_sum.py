@@ -21,7 +21,13 @@ from jaxir._vector import dot
 from jaxir.scene.near_source import AbstractAreaSource
 from jaxir.transport.leaving import beyond, leaving, reflected
 from jaxir.transport.medium import GridMedium
-from jaxir.transport.radiometry import Radiometry, background_radiance, cell_lights, plume_transmittance
+from jaxir.transport.radiometry import (
+    Radiometry,
+    background_radiance,
+    cell_lights,
+    plume_transmittance,
+    surrounding_radiance,
+)
 from jaxir.transport.reflection import Reflection
 from jaxir.transport.scatter_trace import ScatterPath, vertex_lights
 
@@ -34,6 +40,13 @@ class Orders(NamedTuple):
     before: Float[Array, "ray node"]
 
 
+class _Place(NamedTuple):
+    """Whether a leg is the first, which is the eye's, and whether it is the last."""
+
+    first: Array
+    last: Array
+
+
 def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection | None) -> Orders:
     """Radiance along paths of `follow`, before the air. Differentiable in every radiometric leaf of the scene."""
     medium = optical.medium
@@ -41,9 +54,9 @@ def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection |
     phase = medium.phase
     count = path.length.shape[0]
 
-    def step(state: tuple[Orders, Array], link: tuple[ScatterPath, Array]) -> tuple[tuple[Orders, Array], None]:
-        (sums, through), (leg, final) = state, link
-        brought = medium.leg(leg.rays, leg.length, _at_end(optical, leg, reflection, final))
+    def step(state: tuple[Orders, Array], link: tuple[ScatterPath, _Place]) -> tuple[tuple[Orders, Array], None]:
+        (sums, through), (leg, place) = state, link
+        brought = medium.leg(leg.rays, leg.length, _at_end(optical, leg, reflection, place))
         for source, irradiance in zip(cell_lights(optical.scene), optical.irradiance, strict=True):
             assert isinstance(medium, GridMedium)
             cosine = jnp.sum(leg.rays.direction * -source.direction[None], axis=-1)
@@ -66,19 +79,23 @@ def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection |
 
     first = jax.tree.map(lambda leaf: leaf[0], path.rays)
     dark = jnp.zeros((first.count, optical.nodes.count), first.origin.dtype)
-    final = jnp.arange(count, dtype=jnp.int32) == count - 1
-    return lax.scan(step, (Orders(dark, dark, dark), jnp.ones_like(dark)), (path, final))[0][0]
+    index = jnp.arange(count, dtype=jnp.int32)
+    places = _Place(index == 0, index == count - 1)
+    return lax.scan(step, (Orders(dark, dark, dark), jnp.ones_like(dark)), (path, places))[0][0]
 
 
-def _at_end(optical: Radiometry, leg: ScatterPath, reflection: Reflection | None, final: Array) -> Array:
-    """What enters the legs at their far ends [ray, node]: what leaves the skin, or the background."""
+def _at_end(optical: Radiometry, leg: ScatterPath, reflection: Reflection | None, place: _Place) -> Array:
+    """What enters the legs at their far ends [ray, node]: what leaves the skin, or what surrounds the scene."""
     leaves = leg.open & jnp.isinf(leg.length)
-    behind = jnp.where(leaves[:, None], background_radiance(optical, leg.rays.direction), 0)
+    around = surrounding_radiance(optical, leg.rays.direction)
+    if len(optical.scene.surroundings) > (optical.scene.background is not None):  # some are hidden from the eye
+        around = jnp.where(place.first, background_radiance(optical, leg.rays.direction), around)
+    behind = jnp.where(leaves[:, None], around, 0)
     if leg.vertex is None:
         return behind
     skin = leaving(optical, leg.vertex, leg.around, reflection)
     if reflection is not None and reflection.beyond is not None:
-        skin = skin + jnp.where(final, beyond(optical, leg.vertex, reflection), 0)
+        skin = skin + jnp.where(place.last, beyond(optical, leg.vertex, reflection), 0)
     return jnp.where((leg.vertex.face >= 0)[:, None], skin, behind)
 
 

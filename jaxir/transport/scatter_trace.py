@@ -14,6 +14,7 @@ from jaxir.geometry.mesh import any_hit, closest_hit
 from jaxir.geometry.ray import Rays
 from jaxir.geometry.sampling import turned
 from jaxir.geometry.triangle import Hit, no_hit
+from jaxir.scene.background import AbstractBackground
 from jaxir.scene.near_source import AbstractAreaSource
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import AbstractDeltaSource
@@ -48,7 +49,7 @@ class ScatterPath(eqx.Module):
         length: to the skin [ray] [m]; inf where the leg leaves the scene, 0 for a path that has ended.
         vertex: where the leg ends on the skin, face -1 where it does not; None without skin.
         around: lights sampled there; None where nothing is sampled.
-        open: whether a leg that leaves the scene shows the background [ray]; from skin that samples it, it does not.
+        open: whether a leg that leaves the scene shows what surrounds it [ray]; from skin that samples it, it does not.
         place: where the path is scattered; its factor is 0 where it is not.
         omega: direction of the next leg [ray, 3].
         factor: 1 / density of that direction [ray] [sr]; 0 where the path ends, times 1 / chance of reflection rather
@@ -75,8 +76,9 @@ Source = AbstractDeltaSource | AbstractAreaSource
 
 
 def vertex_lights(scene: Scene) -> tuple[Source, ...]:
-    """Sources looked for where a path is scattered: all but those that every leg sums up."""
-    return tuple(source for source in scene.sources if not any(source is summed for summed in cell_lights(scene)))
+    """Sources looked for where a path is scattered: all but those that every leg sums up, and backgrounds."""
+    others = (source for source in scene.sources if not isinstance(source, AbstractBackground))
+    return tuple(source for source in others if not any(source is summed for summed in cell_lights(scene)))
 
 
 def follow(

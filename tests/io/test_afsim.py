@@ -13,7 +13,7 @@ def table(azimuth, elevation, bands=("MWIR",), sign=1.0):
     value = sign * jnp.asarray((aspect[:, :1] + 400) * 10 + aspect[:, 1:], jnp.float32)
     wide = jnp.broadcast_to(value, (len(aspect), len(bands)))
     azimuth, elevation = (jnp.asarray(a, jnp.float32) for a in aspect.T)
-    return jaxir.Signature(azimuth, elevation, wide, 0 * wide, tuple(bands))
+    return jaxir.Signature(azimuth, elevation, wide, 0 * wide, tuple(bands), 0 * wide)
 
 
 def test_a_full_circle_is_mirrored_and_closed(tmp_path):

@@ -10,9 +10,11 @@ import jaxir
 from jaxir.io import vocabulary
 from jaxir.io.cfd import load_flow
 from jaxir.io.entries import Entry
+from jaxir.io.k_tables import KTables, save_k_tables
 from jaxir.io.meshes import load_mesh
 from jaxir.io.scene_files import load_scene
 from jaxir.io.vocabulary import combustion_gas
+from jaxir.optics.correlated_k import CrossSections
 from tests.io.scene_text import TEXT, write_npz, write_obj, write_scene
 
 PARTS = """
@@ -73,7 +75,7 @@ def test_every_reader_is_of_a_parameter_that_exists():
     tables = {n: v for n, v in vars(vocabulary).items() if n.isupper() and isinstance(v, dict) and n not in skip}
     made = [one for table in tables.values() for one in table.values() if callable(one)]
     made += [jaxir.render, jaxir.signature, jaxir.Reflection, jaxir.AmbientTerm, jaxir.resolved_nodes, jaxir.Grid]
-    made += [jaxir.Skin, jaxir.sensor_band, jaxir.JetPlume, load_mesh, load_flow]
+    made += [jaxir.Skin, jaxir.sensor_band, jaxir.JetPlume, jaxir.Scattering, load_mesh, load_flow]
     names = {name for one in made for name in inspect.signature(one).parameters}
     assert set(vocabulary.RENDER_READERS) <= names
 
@@ -107,6 +109,65 @@ def test_plumes_from_parameters_and_from_arrays(tmp_path):
     grid = load_scene(write_scene(tmp_path, TEXT + GRID)).scene.plume
     np.testing.assert_allclose(grid.temperature, 500 + field)
     np.testing.assert_allclose(grid.gas.coefficient, field[..., None])
+
+
+PARTICLES = """
+[plume.particles]
+type = "Particles"
+number_density = 1e9
+table = { type = "mie_table", diameter = 2.0, index = { n = 2.0, k = 5e-5 }, wavelength = [2.5, 5.5, 13], angles = 19 }
+[scattering]
+orders = 3
+"""
+
+
+def test_particles_and_how_often_they_scatter(tmp_path):
+    pytest.importorskip("miepython")
+    read = load_scene(write_scene(tmp_path, TEXT + JET + PARTICLES))
+    table = jaxir.mie_table(2.0, 2.0 - 5e-5j, [2.5, 5.5, 13], angles=19)
+    np.testing.assert_allclose(read.scene.plume.particles.table.scattering, table.scattering, rtol=1e-6)
+    assert read.scattering.orders == 3 and "JetPlume of NarrowBandGas with Particles" in read.describe()
+    gray = (
+        PARTICLES[: PARTICLES.index("type")]
+        + """
+type = "GrayParticles"
+extinction = 0.5
+albedo = 0.9
+phase = { type = "HenyeyGreenstein", asymmetry = 1.5 }
+"""
+    )
+    with pytest.raises(ValueError, match=r"plume.particles.phase: HenyeyGreenstein.asymmetry: got 1.5"):
+        load_scene(write_scene(tmp_path, TEXT + JET + gray))
+
+
+K_GAS = """
+bands = { type = "k_nodes", path = "k.npz" }
+[plume]
+type = "GridPlume"
+grid = { origin = [0, 0, 0], spacing = [1, 1, 1], shape = [1, 1, 1] }
+temperature = 900
+gas = { type = "CorrelatedK", tables = { path = "k.npz" }, pressure = 1e5, mole_fractions = { CO2 = 0.1 } }
+"""
+
+
+def test_gas_from_tables_of_cross_sections(tmp_path):
+    nodes = jaxir.resolved_nodes(jaxir.Band("b", 4.2, 4.4), width=100.0, points=2, pair_points=0)
+    sigma = np.full((2, 1, 1, nodes.count), 1e-22)
+    table = CrossSections("CO2", nodes, [300.0, 1500.0], [1e5], [0.1], sigma)
+    save_k_tables(tmp_path / "k.npz", KTables(nodes, (table,), None, "made up"))
+    read = load_scene(write_scene(tmp_path, K_GAS))
+    assert read.bands.count == nodes.count and isinstance(read.scene.plume.gas, jaxir.CorrelatedK)
+    for text, message in (
+        (K_GAS.replace("CO2 =", "CO ="), "plume.gas: CorrelatedK.mole_fractions: got .'CO'., expected some of .'CO2'."),
+        (K_GAS + '[atmosphere]\ntype = "k_air"\npath = "k.npz"', "atmosphere: .*k.npz: holds no air"),
+        (
+            K_GAS.replace('tables = { path = "k.npz" }', 'tables = { path = "cut.npz" }'),
+            "cut.npz: not readable",
+        ),
+    ):
+        (tmp_path / "cut.npz").write_bytes((tmp_path / "k.npz").read_bytes()[:300])
+        with pytest.raises(ValueError, match=message):
+            load_scene(write_scene(tmp_path, text))
 
 
 def test_a_plume_from_a_flow_field(tmp_path):
