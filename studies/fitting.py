@@ -7,7 +7,7 @@ import numpy as np
 import scipy.optimize
 
 from jaxir.fit import Fit, solve
-from jaxir.fit.solve import Problem
+from jaxir.fit.problem import Problem
 
 
 def finite_differences(problem: Problem) -> tuple[np.ndarray, float, float, int]:
