@@ -33,6 +33,7 @@ from jaxir.transport.reflection import Reflection, reflection_of
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 SLICE = 64  # rays in a slice, at most
 THIN = 64  # rays of each half of a row that suffice for derivatives of a jet
+EVEN = 0.1  # share of them spread evenly, the rest where the radiance is
 
 
 class RaySum(eqx.Module):
@@ -63,6 +64,19 @@ class RaySum(eqx.Module):
         sums = lax.map(lambda each: chunk(*each), (self.paths, self.weight))
         return totals.at[self.group].add(sums)
 
+    @eqx.filter_jit
+    def parts(self, scene: Scene, measurement: Measurement) -> Float[Array, "chunk slice place band"]:
+        """Magnitude of what each ray adds to its row."""
+        optical = radiometry(scene, measurement.nodes)
+
+        def chunk(each: tuple[Paths, Array]) -> Array:
+            paths, weight = each
+            empty = empty_radiance(optical, paths.rays.direction)
+            contrast = optical.nodes.in_band(evaluate(optical, paths, measurement.reflection) - empty)
+            return jnp.abs(weight[..., None] * contrast.reshape((*weight.shape, -1)))
+
+        return lax.map(chunk, (self.paths, self.weight))
+
 
 class Observation(eqx.Module):
     """A measurement with the traced paths that predict it.
@@ -90,7 +104,7 @@ class Observation(eqx.Module):
         return self._predict(scene, self.through)
 
     def predict_thinned(self, scene: Scene) -> Float[Array, "2 row band"]:
-        """As `predict_halves`, of fewer rays: a few per cent off, and good enough to lead to a solution."""
+        """As `predict_halves`, of fewer rays: good enough to lead to a solution."""
         return self._predict(scene, self.through if self.thinned is None else self.thinned)
 
     def _predict(self, scene: Scene, through: RaySum | None) -> Float[Array, "2 row band"]:
@@ -164,13 +178,9 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
     through = _gather(rays, np.flatnonzero(crosses))
     beside = _merged(scene, measurement, _gather(rays, np.flatnonzero(on_skin & ~crosses)))
     bare = scene if scene.skin is None or scene.plume is None else eqx.tree_at(lambda s: s.plume, scene, None)
-    return Observation(
-        measurement,
-        scene,
-        through=_ray_sum(scene, measurement, through, key),
-        thinned=_ray_sum(scene, measurement, _thinned(scene, through), key),
-        beside=_ray_sum(bare, measurement, beside, key),
-    )
+    full = _ray_sum(scene, measurement, through, key)
+    thinned = _ray_sum(scene, measurement, _thinned(scene, measurement, full), key)
+    return Observation(measurement, scene, full, thinned, _ray_sum(bare, measurement, beside, key))
 
 
 def _widened(measurement: Measurement, scene: Scene) -> Camera:
@@ -264,27 +274,42 @@ def _merged(scene: Scene, measurement: Measurement, rays: _ViewRays) -> _ViewRay
     return eqx.tree_at(lambda r: r.weight, _gather(rays, first), jnp.asarray(weight, rays.weight.dtype))
 
 
-def _thinned(scene: Scene, rays: _ViewRays) -> _ViewRays | None:
-    """Every k-th ray that meets a jet and no skin, about `THIN` in each group, with the weight of those left out.
+def _thinned(scene: Scene, measurement: Measurement, through: RaySum | None) -> _ViewRays | None:
+    """About `THIN` rays in each group that stand for all rays that meet a jet and no skin.
 
-    A jet's few parameters act on all of its rays alike; parameters of the skin may act on a few rays only, so those
-    that meet it stay. None where that leaves most.
+    Systematic sampling with a probability proportional to what a ray contributes now, averaged over bands, so that
+    each ray kept stands for the same part of its row. A jet's few parameters act on all of its rays; parameters of
+    the skin may act on a few rays only, so those that meet it stay. None where that leaves most.
     """
-    if not isinstance(scene.plume, JetPlume):
+    if not isinstance(scene.plume, JetPlume) or through is None:
         return None
-    group, weight = np.asarray(rays.group), np.asarray(rays.weight, np.float64)
-    free = np.flatnonzero(np.asarray(rays.face) < 0)
+    weight, part = (np.asarray(x, np.float64) for x in (through.weight, through.parts(scene, measurement)))
+    group = np.broadcast_to(np.asarray(through.group)[..., None], weight.shape).reshape(-1)
+    weight, part = weight.reshape(-1), part.reshape(-1, part.shape[-1])
+    face = np.full(group.shape, -1) if through.paths.hit is None else np.asarray(through.paths.hit.face).reshape(-1)
+    free = np.flatnonzero((face < 0) & (weight > 0))
     free = free[np.argsort(group[free], kind="stable")]
     _, first, of, counts = np.unique(group[free], return_index=True, return_inverse=True, return_counts=True)
-    stride = np.maximum(1, counts // THIN)
-    kept = (np.arange(free.size) - first[of]) % stride[of] == 0
-    if group.size < 2 * (group.size - np.count_nonzero(~kept)):
+    share = (1 - EVEN) * _share(part[free], of).mean(axis=1) + EVEN * _share(weight[free, None], of)[:, 0]
+    share = share / np.bincount(of, share)[of]
+    above = np.cumsum(share) - of  # groups lie one behind the other and have a share of 1 each
+    picks = np.floor(THIN * above + 0.5) - np.floor(THIN * (above - share) + 0.5)
+    kept = np.flatnonzero(picks > 0)
+    if 2 * kept.size > free.size:
         return None
-    share = np.bincount(of, weight[free]) / np.bincount(of[kept], weight[free[kept]])
     scaled = weight.copy()
-    scaled[free] *= share[of]
-    index = np.concatenate([np.flatnonzero(np.asarray(rays.face) >= 0), free[kept]])
-    return eqx.tree_at(lambda r: r.weight, _gather(rays, index), jnp.asarray(scaled[index], rays.weight.dtype))
+    scaled[free[kept]] *= picks[kept] / (THIN * share[kept])
+    index = np.concatenate([np.flatnonzero((face >= 0) & (weight > 0)), free[kept]])
+    rays = jax.tree.map(lambda leaf: leaf.reshape(-1, 3)[index], through.paths.rays)
+    kinds = (jnp.asarray(x[index], jnp.int32) for x in (group, face))
+    return _ViewRays(rays, jnp.asarray(scaled[index], through.weight.dtype), *kinds, jnp.ones(index.size, bool))
+
+
+def _share(part: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """Parts [ray, band] over their sum in the group `of` each ray; an even share where all are 0."""
+    total = np.stack([np.bincount(of, column) for column in part.T], axis=1)[of]
+    even = (1 / np.bincount(of))[of][:, None]
+    return np.where(total > 0, part / np.where(total > 0, total, 1), even)
 
 
 def _ray_sum(scene: Scene, measurement: Measurement, rays: _ViewRays | None, key: Array) -> RaySum | None:
