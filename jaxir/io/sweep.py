@@ -20,11 +20,13 @@ from jaxir._arrays import as_float
 from jaxir.io.files import written_whole
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.render import Signature
+from jaxir.render.chunks import method_of
 from jaxir.render.devices import is_traced, item_by_item, shared_by
 from jaxir.render.views import Views, prepare_views, view_intensity
 from jaxir.scene.scene import Scene
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
 
 CONDITIONS = "conditions.json"
 
@@ -40,6 +42,7 @@ def sweep(
     samples: int = 2,
     key: Key[Array, ""] | None = None,
     reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
     path: AbstractPathEstimator = CellSum(),  # noqa: B008
     devices: Mesh | None = None,
 ) -> Signature:
@@ -59,6 +62,7 @@ def sweep(
         samples: rays per pixel.
         key: random key.
         reflection: as `jaxir.render`.
+        scattering: as `jaxir.render`.
         path: as `jaxir.render`.
         devices: as `jaxir.signature`.
 
@@ -69,10 +73,17 @@ def sweep(
         ValueError: as `jaxir.signature`; the folder was begun under other conditions or holds a damaged file; the
             folder it is to be made in does not exist; values known only inside jit.
     """
-    if is_traced((scene, views, distance, key, reflection, path)):
+    if is_traced((scene, views, distance, key, reflection, scattering, path)):
         raise ValueError("sweep: got values known only inside jit, expected a call outside it")
     asked = prepare_views(
-        scene, views, bands, distance=distance, shape=shape, samples=samples, key=key, reflection=reflection, path=path
+        scene,
+        views,
+        bands,
+        distance=distance,
+        shape=shape,
+        samples=samples,
+        key=key,
+        method=method_of(scene, reflection, scattering, path),
     )
     mesh = shared_by(devices, asked.azimuth.shape[0], "views")
     conditions = _conditions(
@@ -86,14 +97,14 @@ def sweep(
     files = _Folder(Path(folder), asked)
     count, width = asked.azimuth.shape[0], asked.optical.nodes.response.shape[0]
     there = _from_first(lambda: files.finished(conditions), np.zeros(count, bool))
-    missing = jnp.asarray(np.flatnonzero(~there), jnp.int32)
-    for index, (intensity, error) in item_by_item(view_intensity, asked, missing, "sweep", mesh):
+    to_do = jnp.asarray(np.flatnonzero(~there), jnp.int32)
+    for index, found in item_by_item(view_intensity, asked, to_do, "sweep", mesh):
         if jax.process_index() == 0:
-            for place, *values in zip(index.tolist(), np.asarray(intensity), np.asarray(error), strict=True):
+            for place, *values in zip(index.tolist(), *(np.asarray(part) for part in found), strict=True):
                 files.write(place, *values)
-    empty = np.zeros((2, count, width), asked.azimuth.dtype)
-    intensity, error = jnp.asarray(_from_first(files.read, empty))
-    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.optical.nodes.names)
+    empty = np.zeros((3, count, width), asked.azimuth.dtype)
+    intensity, error, missing = jnp.asarray(_from_first(files.read, empty))
+    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.optical.nodes.names, missing)
 
 
 class _Folder:
@@ -127,7 +138,7 @@ class _Folder:
                 part.write_text(json.dumps(conditions, indent=1))
         return np.array([self.view(i).exists() and self._load(i).size > 0 for i in range(len(self.aspect))])
 
-    def write(self, index: int, intensity: np.ndarray, error: np.ndarray) -> None:
+    def write(self, index: int, intensity: np.ndarray, error: np.ndarray, missing: np.ndarray) -> None:
         with written_whole(self.view(index)) as part, part.open("wb") as stream:
             azimuth, elevation = self.aspect[index]
             np.savez(
@@ -136,6 +147,7 @@ class _Folder:
                 elevation=elevation,
                 intensity=intensity,
                 standard_error=error,
+                missing=missing,
                 bands=np.array(self.bands),
                 unit="W sr-1",
             )
@@ -143,7 +155,7 @@ class _Folder:
             os.fsync(stream.fileno())
 
     def read(self) -> np.ndarray:
-        """Intensity and standard error of all views [2, view, band]."""
+        """Intensity, standard error and missing share of all views [3, view, band]."""
         return np.stack([self._load(index) for index in range(len(self.aspect))], axis=1)
 
     def _load(self, index: int) -> np.ndarray:
@@ -151,7 +163,7 @@ class _Folder:
         try:
             with np.load(file) as data:
                 aspect = np.array([data["azimuth"], data["elevation"]])
-                found = np.stack([data["intensity"], data["standard_error"]])
+                found = np.stack([data["intensity"], data["standard_error"], data["missing"]])
         except Exception as error:
             raise ValueError(f"{file}: got a damaged file, expected a finished view; delete it to repeat it") from error
         if not np.array_equal(aspect, self.aspect[index]):

@@ -15,10 +15,12 @@ from jaxir.geometry.camera import TILE, Camera, stratum_points
 from jaxir.render.image import Image, image_of
 from jaxir.scene.background import AbstractUniformBackground
 from jaxir.scene.scene import Scene
-from jaxir.transport.evaluate import Radiometry, empty_radiance, evaluate, radiometry
+from jaxir.transport.evaluate import empty_radiance, evaluate, evaluate_orders
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import Radiometry, radiometry
 from jaxir.transport.reflection import Reflection, reflection_of
+from jaxir.transport.scattering import Scattering, scattering_of
 
 TILES_AT_ONCE = 64  # 16384 rays: bounds memory whatever the image
 PARTS = 8  # chunks of a small image, for so many devices to share
@@ -30,10 +32,12 @@ class Method(eqx.Module):
 
     Attributes:
         reflection: how light reflected by the skin is found; None where delta sources alone light it.
+        scattering: how often paths are scattered by particles; None without particles.
         path: estimator of a gridded plume's radiance along a ray.
     """
 
     reflection: Reflection | None
+    scattering: Scattering | None
     path: AbstractPathEstimator
 
     def checks(self, scene: Scene) -> list[Check]:
@@ -42,23 +46,28 @@ class Method(eqx.Module):
 
     def samples(self, scene: Scene) -> int:
         """Directions recorded for each ray."""
-        return 1 if self.reflection is None else self.reflection.samples(scene)
+        at_skin = 1 if self.reflection is None else self.reflection.samples(scene)
+        return at_skin if self.scattering is None else at_skin + self.scattering.orders
 
 
-def method_of(scene: Scene, reflection: Reflection | None, path: AbstractPathEstimator) -> Method:
-    """What is asked, with `Reflection()` for a scene with area sources where nothing is."""
-    return Method(reflection_of(scene, reflection), path)
+def method_of(
+    scene: Scene, reflection: Reflection | None, scattering: Scattering | None, path: AbstractPathEstimator
+) -> Method:
+    """What is asked, with `Reflection()` for area sources and `Scattering()` for particles where nothing is."""
+    return Method(reflection_of(scene, reflection), scattering_of(scene, scattering), path)
 
 
 class Estimate(NamedTuple):
     """Mean radiance in the pixels of tiles and its variance [tile, pixel, band].
 
-    `empty` is what would be seen without the scene; one value [1, 1, band] where the background is uniform.
+    `empty` is what would be seen without the scene; one value [1, 1, band] where the background is uniform. `orders`
+    is what the last two orders of scattering brought [tile, pixel, 2, band]; None without particles.
     """
 
     mean: Array
     variance: Array
     empty: Array
+    orders: Array | None
 
 
 compiled_radiometry = eqx.filter_jit(radiometry)
@@ -109,8 +118,12 @@ def whole_image(taken: Pass, parts: Estimate) -> Image:
     camera = taken.camera
     mean, variance = _untile(camera, parts.mean), _untile(camera, parts.variance)
     empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else _untile(camera, parts.empty)
+    orders = None
+    if parts.orders is not None:
+        orders = _untile(camera, parts.orders.reshape((*parts.orders.shape[:3], -1)))
+        orders = orders.reshape((*orders.shape[:2], 2, -1))
     samples = 2 * taken.strata[0] * taken.strata[1]
-    return image_of(camera, taken.optical.nodes.names, mean, variance, empty, samples)
+    return image_of(camera, taken.optical.nodes.names, mean, variance, empty, samples, orders)
 
 
 def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
@@ -128,31 +141,47 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     background = optical.scene.background
     uniform = background is None or isinstance(background, AbstractUniformBackground)
 
-    def sample(drawn: tuple[Array, Array]) -> Array:
+    def sample(drawn: tuple[Array, Array]) -> _Seen:
         screen = camera.screen(tile, drawn[0]).reshape(-1, 2)
-        paths = trace(optical.scene, camera.bundle(screen, start), method.reflection, drawn[1])
-        along = None if isinstance(method.path, CellSum) else jax.random.fold_in(drawn[1], 1)
-        seen = optical.nodes.in_band(evaluate(optical, paths, method.reflection, method.path, along))
-        if not uniform:
-            empty = optical.nodes.in_band(empty_radiance(optical, paths.rays.direction))
-            seen = jnp.concatenate([seen, empty], axis=-1)
-        return seen.reshape(size, TILE * TILE, -1)
+        paths = trace(optical.scene, camera.bundle(screen, start), method.reflection, drawn[1], method.scattering)
+        orders = None
+        if paths.scatter is not None and isinstance(method.path, CellSum):
+            parts = evaluate_orders(optical, paths, method.reflection)
+            radiance, orders = parts.radiance, jnp.stack([parts.last, parts.before], axis=1)
+        else:
+            along = None if isinstance(method.path, CellSum) else jax.random.fold_in(drawn[1], 1)
+            radiance = evaluate(optical, paths, method.reflection, method.path, along)
+        empty = None if uniform else empty_radiance(optical, paths.rays.direction)
+        return jax.tree.map(
+            lambda value: optical.nodes.in_band(value).reshape((size, TILE * TILE, *value.shape[1:-1], -1)),
+            _Seen(radiance, empty, orders),
+        )
 
-    def stratum(carry: tuple[Array, Array], index: Array) -> tuple[tuple[Array, Array], None]:
+    def stratum(carry: tuple[_Seen, Array], index: Array) -> tuple[tuple[_Seen, Array], None]:
         own = jax.random.fold_in(key, chunk)
         offset = stratum_points(own, index, size, strata)
         anew = jax.random.fold_in(jax.random.fold_in(own, index), 1)
         pair = lax.map(sample, (offset, jax.random.split(anew, 2)))
         total, square = carry
-        return (total + (pair[0] + pair[1]) / 2, square + (pair[0] - pair[1]) ** 2 / 4), None
+        total = jax.tree.map(lambda sum, two: sum + (two[0] + two[1]) / 2, total, pair)
+        return (total, square + (pair.radiance[0] - pair.radiance[1]) ** 2 / 4), None
 
     count, bands = strata[0] * strata[1], optical.nodes.response.shape[0]
-    zero = jnp.zeros((size, TILE * TILE, bands if uniform else 2 * bands), start.dtype)
-    (total, square), _ = lax.scan(stratum, (zero, zero), jnp.arange(count, dtype=jnp.int32))
-    mean, variance = total / count, square[..., :bands] / count**2
-    if uniform:
-        return Estimate(mean, variance, optical.nodes.in_band(empty_radiance(optical, camera.frame[:1, None])))
-    return Estimate(mean[..., :bands], variance, mean[..., bands:])
+    zero = jnp.zeros((size, TILE * TILE, bands), start.dtype)
+    orders = None if method.scattering is None else jnp.zeros((size, TILE * TILE, 2, bands), start.dtype)
+    dark = _Seen(zero, None if uniform else zero, orders)
+    (total, square), _ = lax.scan(stratum, (dark, zero), jnp.arange(count, dtype=jnp.int32))
+    mean = jax.tree.map(lambda sum: sum / count, total)
+    empty = optical.nodes.in_band(empty_radiance(optical, camera.frame[:1, None])) if uniform else mean.empty
+    return Estimate(mean.radiance, square / count**2, empty, mean.orders)
+
+
+class _Seen(NamedTuple):
+    """What rays see [ray, node] or pixels [tile, pixel, band]: the scene, the same without it, two orders of it."""
+
+    radiance: Array
+    empty: Array | None
+    orders: Array | None
 
 
 def eye_outside(scene: Scene, camera: Camera) -> Check:

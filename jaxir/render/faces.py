@@ -13,7 +13,8 @@ from jaxir.geometry.camera import view_frame
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import ParallelSource
-from jaxir.transport.evaluate import radiometry, unoccluded_radiance
+from jaxir.transport.evaluate import unoccluded_radiance
+from jaxir.transport.radiometry import radiometry
 
 
 def unoccluded_intensity(
@@ -42,7 +43,7 @@ def unoccluded_intensity(
     """
     if scene.skin is None or scene.plume is not None:
         raise ValueError("scene: got a plume or no skin, expected skin alone; use render or signature for plumes")
-    if not all(isinstance(source, ParallelSource) for source in scene.sources):
+    if scene.area_sources or not all(isinstance(source, ParallelSource) for source in scene.delta_sources):
         raise ValueError("scene: got sources at a finite distance, expected parallel ones; use render or signature")
     nodes = enforce(as_nodes(bands), scene.checks())
     optical = radiometry(scene, nodes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -29,6 +30,8 @@ class Image(eqx.Module):
         bands: band names.
         samples: rays taken per pixel.
         outcome: why no more were taken, an item of `Outcome`.
+        orders: what the last two orders of scattering brought of the radiant intensity, the last first [2, band]
+            [W sr-1]; None without particles.
     """
 
     radiance: Float[Array, "row column band"]
@@ -38,6 +41,7 @@ class Image(eqx.Module):
     bands: tuple[str, ...] = eqx.field(static=True)
     samples: Int[Array, ""]
     outcome: Outcome
+    orders: Float[Array, "2 band"] | None = None
 
     def radiant_intensity(self) -> Float[Array, " band"]:
         """Radiant intensity in contrast to what the empty image would show [band] [W sr-1].
@@ -57,6 +61,27 @@ class Image(eqx.Module):
         variance = jnp.sum((self.standard_error * area[:, :, None]) ** 2, axis=(0, 1))
         return _sqrt_or_zero(variance)
 
+    def missing(self) -> Float[Array, " band"]:
+        """Share of the radiant intensity that orders of scattering beyond the last would add, estimated [band].
+
+        See `missing_share`; 0 without particles.
+        """
+        intensity = self.radiant_intensity()
+        return jnp.zeros_like(intensity) if self.orders is None else missing_share(self.orders, intensity)
+
+
+def missing_share(orders: Float[Array, "*view 2 band"], intensity: Float[Array, "*view band"]) -> Array:
+    """What is left out beyond the last order of scattering, as a share of the intensity [*view, band].
+
+    Orders fall at last like a geometric series: the rest is last r / (1 - r) with r = last / one before; inf where
+    there are no two orders or they do not fall, 0 where the last brings nothing.
+    """
+    last, before = jnp.abs(orders[..., 0, :]), jnp.abs(orders[..., 1, :])
+    falls = last < before
+    rest = last * last / jnp.where(falls, before - last, 1)
+    share = rest / jnp.where(intensity != 0, jnp.abs(intensity), 1)
+    return jnp.where(last == 0, 0, jnp.where(falls & (intensity != 0), share, jnp.inf))
+
 
 def image_of(
     camera: Camera,
@@ -65,10 +90,13 @@ def image_of(
     variance: Float[Array, "row column band"],
     empty: Float[Array, "_row _column band"],
     samples: int,
+    orders: Float[Array, "row column 2 band"] | None,
 ) -> Image:
-    """The image of one pass of `samples` rays per pixel."""
+    """The image of one pass of `samples` rays per pixel; `orders` are those of each pixel's radiance."""
+    area = camera.pixel_area()[:, :, None, None]
+    whole = None if orders is None else jnp.sum(orders * area, axis=(0, 1))
     taken = jnp.asarray(samples, jnp.int32)
-    return Image(mean, _sqrt_or_zero(variance), empty, camera, bands, taken, Outcome.samples_taken)  # type: ignore
+    return Image(mean, _sqrt_or_zero(variance), empty, camera, bands, taken, Outcome.samples_taken, whole)  # type: ignore
 
 
 def meets(image: Image, rtol: float) -> bool:
@@ -81,8 +109,12 @@ def joined(image: Image, more: Image) -> Image:
     taken = image.samples + more.samples
     own, other = (part.samples / taken for part in (image, more))
     error = jnp.sqrt((own * image.standard_error) ** 2 + (other * more.standard_error) ** 2)
-    radiance, empty = (own * a + other * b for a, b in ((image.radiance, more.radiance), (image.empty, more.empty)))
-    return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome)
+    radiance, empty, orders = jax.tree.map(
+        lambda a, b: own * a + other * b,
+        (image.radiance, image.empty, image.orders),
+        (more.radiance, more.empty, more.orders),
+    )
+    return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders)
 
 
 def _sqrt_or_zero(value: Array) -> Array:

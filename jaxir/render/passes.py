@@ -21,6 +21,7 @@ from jaxir.render.planning import plan, require_rtol
 from jaxir.scene.scene import Scene
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
 
 
 def render(
@@ -31,6 +32,7 @@ def render(
     samples: int | None = None,
     key: Key[Array, ""] | None = None,
     reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
     rtol: float | None = None,
     max_samples: int = 4096,
     path: AbstractPathEstimator = CellSum(),  # noqa: B008
@@ -56,6 +58,7 @@ def render(
         reflection: how light from lights with an extent, from the background and from the skin itself is found; see
             `jaxir.trace`. By default delta sources alone light the skin, and area sources are served by
             `Reflection()`, or with rtol alone as `jaxir.plan` finds cheapest.
+        scattering: how often paths are scattered by particles; by default `Scattering()` where there are any.
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
             the intensity: passes of `samples` if given, else as `jaxir.plan` foretells. None takes one pass.
             `Image.outcome` says whether it was met.
@@ -78,7 +81,7 @@ def render(
     key = jax.random.key(0) if key is None else key
     planned = samples is None and rtol is not None
     if rtol is not None:
-        if is_traced((scene, camera, key, reflection, path)):
+        if is_traced((scene, camera, key, reflection, scattering, path)):
             raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
         require_rtol(rtol)
         if planned:
@@ -89,6 +92,7 @@ def render(
                 rtol,
                 key=jax.random.fold_in(key, 0),
                 reflection=reflection,
+                scattering=scattering,
                 max_samples=max_samples,
                 path=path,
             )
@@ -97,7 +101,7 @@ def render(
     if max_samples < samples:
         raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {samples}")
     nodes = as_nodes(bands)
-    method = method_of(scene, reflection, path)
+    method = method_of(scene, reflection, scattering, path)
     nodes = enforce(nodes, [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)])
     parts = PARTS if devices is None else max(PARTS, devices.size)
     first = Pass(compiled_radiometry(scene, nodes), camera, key, pixel_strata(samples), method, parts)

@@ -53,7 +53,7 @@ def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarr
     """Intensity of the pixels of one chunk and its variance [band]."""
     index = np.asarray(taken.camera.pixel_index(taken.tile(chunk)))
     area = np.append(np.asarray(taken.camera.pixel_area(), np.float64).ravel(), 0.0)[index][:, :, None]
-    mean, variance, empty = (np.asarray(leaf, np.float64) for leaf in estimate)
+    mean, variance, empty = (np.asarray(leaf, np.float64) for leaf in estimate[:3])
     return ((mean - empty) * area).sum((0, 1)), (variance * area**2).sum((0, 1))
 
 

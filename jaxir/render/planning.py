@@ -20,7 +20,6 @@ from jaxir.render.devices import is_traced
 from jaxir.render.pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
-from jaxir.transport.evaluate import Radiometry
 from jaxir.transport.path_estimator import (
     AbstractPathEstimator,
     CellSum,
@@ -28,6 +27,7 @@ from jaxir.transport.path_estimator import (
     LineIntegration,
     PointIntegration,
 )
+from jaxir.transport.radiometry import Radiometry, cell_lights
 from jaxir.transport.reflection import (
     BrdfSampling,
     ClosedForm,
@@ -35,6 +35,7 @@ from jaxir.transport.reflection import (
     MultipleImportance,
     Reflection,
 )
+from jaxir.transport.scattering import Scattering
 
 FEW = 2  # rays per pixel of the first pilots
 MORE = (12, 128)  # at least and at most, of the second
@@ -61,7 +62,7 @@ class Plan(NamedTuple):
 
     Attributes:
         terms: of the transport, in the order in which light meets them on its way back from the eye.
-        method: what `render` is to take as `reflection` and `path`.
+        method: what `render` is to take as `reflection`, `scattering` and `path`.
         samples: rays per pixel, in one pass.
         seconds: predicted, without compiling, on the device in force.
         compile_seconds: what compiling the chosen method's pilot took.
@@ -102,6 +103,7 @@ def plan(
     *,
     key: Key[Array, ""] | None = None,
     reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
     max_samples: int = 4096,
     path: AbstractPathEstimator | None = None,
 ) -> Plan:
@@ -118,6 +120,7 @@ def plan(
         rtol: standard error of the radiant intensity of every band over the intensity.
         key: random key of the pilots.
         reflection: kept if given; else chosen, where the scene has sources with an extent.
+        scattering: how often paths are scattered by particles; `Scattering()` where there are any.
         max_samples: rays per pixel that must suffice.
         path: kept if given.
 
@@ -128,10 +131,10 @@ def plan(
         ValueError: as `jaxir.render`; rtol <= 0 or beyond the precision in force, with the precision it needs.
     """
     require_rtol(rtol)
-    if is_traced((scene, camera, key, reflection, path)):
+    if is_traced((scene, camera, key, reflection, scattering, path)):
         raise ValueError("plan: got values known only inside jit, expected a call outside it")
     nodes = as_nodes(bands)
-    given = method_of(scene, reflection, CellSum() if path is None else path)
+    given = method_of(scene, reflection, scattering, CellSum() if path is None else path)
     nodes = enforce(nodes, [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *given.checks(scene)])
     first = Pass(
         compiled_radiometry(scene, nodes),
@@ -145,6 +148,7 @@ def plan(
     chosen = _cheapest(trials, first, rtol, max_samples)
     terms = (
         *_along_the_ray(first.optical, camera, chosen.trial.method),
+        *_by_particles(scene, chosen.trial.method),
         *_at_the_skin(scene, trials, chosen, reflection is not None),
         *_beyond(scene),
         _pixels(chosen, rtol, max_samples),
@@ -169,7 +173,7 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
     """Ways to find reflected light; the one without variance alone, where it applies."""
     if scene.skin is None or not scene.area_sources:  # nothing to be sampled
         return [given]
-    closed = Method(Reflection(ClosedForm()), given.path)
+    closed = Method(Reflection(ClosedForm()), given.scattering, given.path)
     try:
         enforce(scene.skin.temperature, closed.checks(scene))
         return [closed]
@@ -183,7 +187,7 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
     ]
     if not isinstance(scene.skin.brdf, Lambert):
         ways.append(Reflection(BrdfSampling(1)))
-    return [Method(way, given.path) for way in ways]
+    return [Method(way, given.scattering, given.path) for way in ways]
 
 
 def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Choice:
@@ -236,6 +240,17 @@ def _along_the_ray(optical: Radiometry, camera: Camera, method: Method) -> list[
         f"would have a relative variance of {spread[least]:.2g} a ray at the largest optical depth, {float(depth):.2g}"
     )
     return [Term("Plume", True, sentence)]
+
+
+def _by_particles(scene: Scene, method: Method) -> list[Term]:
+    if method.scattering is None:
+        return []
+    once = "parallel light scattered once is summed over the cells, " if cell_lights(scene) else ""
+    orders = method.scattering.orders
+    if orders == 0:
+        return [Term("Particles", True, f"{once}light scattered more often is left out, as asked")]
+    sentence = f"{once}the rest sampled by forced collision up to {orders} times; `Image.missing` tells the rest"
+    return [Term("Particles", False, sentence)]
 
 
 def _depth(optical: Radiometry, camera: Camera) -> Array:

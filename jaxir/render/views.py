@@ -19,9 +19,10 @@ from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.render.chunks import Method, Pass, compiled_radiometry, estimate_chunk, eye_outside, method_of, whole_image
 from jaxir.render.devices import over_items, shared_by
 from jaxir.scene.scene import Scene
-from jaxir.transport.evaluate import Radiometry
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
+from jaxir.transport.radiometry import Radiometry
 from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
 
 
 class Signature(eqx.Module):
@@ -33,6 +34,8 @@ class Signature(eqx.Module):
         intensity: contrast intensity, see `Image.radiant_intensity` [view, band] [W sr-1].
         standard_error: of `intensity` [view, band] [W sr-1].
         bands: band names.
+        missing: estimated share of `intensity` that orders of scattering beyond the last would add, see
+            `Image.missing` [view, band].
     """
 
     azimuth: Float[Array, " view"]
@@ -40,6 +43,7 @@ class Signature(eqx.Module):
     intensity: Float[Array, "view band"]
     standard_error: Float[Array, "view band"]
     bands: tuple[str, ...] = eqx.field(static=True)
+    missing: Float[Array, "view band"]
 
 
 class Views(NamedTuple):
@@ -74,6 +78,7 @@ def signature(
     samples: int = 2,
     key: Key[Array, ""] | None = None,
     reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
     path: AbstractPathEstimator = CellSum(),  # noqa: B008
     devices: Mesh | None = None,
 ) -> Signature:
@@ -91,6 +96,7 @@ def signature(
         samples: rays per pixel; even.
         key: random key.
         reflection: as `render`.
+        scattering: as `render`.
         path: as `render`.
         devices: as `render`; views are shared out.
 
@@ -103,12 +109,19 @@ def signature(
     Differentiable as `render`.
     """
     asked = prepare_views(
-        scene, views, bands, distance=distance, shape=shape, samples=samples, key=key, reflection=reflection, path=path
+        scene,
+        views,
+        bands,
+        distance=distance,
+        shape=shape,
+        samples=samples,
+        key=key,
+        method=method_of(scene, reflection, scattering, path),
     )
     index = jnp.arange(asked.azimuth.shape[0], dtype=jnp.int32)
     mesh = shared_by(devices, index.shape[0], "views")
-    intensity, error = over_items(view_intensity, asked, index, "signature", mesh)
-    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.optical.nodes.names)
+    intensity, error, missing = over_items(view_intensity, asked, index, "signature", mesh)
+    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.optical.nodes.names, missing)
 
 
 def prepare_views(
@@ -120,8 +133,7 @@ def prepare_views(
     shape: tuple[int, int],
     samples: int,
     key: Key[Array, ""] | None,
-    reflection: Reflection | None,
-    path: AbstractPathEstimator,
+    method: Method,
 ) -> Views:
     """Check what `signature` is asked and make it ready; arguments and errors as there."""
     aspect = as_float(views, "views")
@@ -133,7 +145,6 @@ def prepare_views(
     cameras = jax.vmap(lambda a: fitted_camera(a[0], a[1], extent, shape, distance))(aspect)
     outside = jax.vmap(lambda camera: eye_outside(scene, camera).value)(cameras)
     eye = Check("signature: (radius of the scene) / distance", outside, outside < 1, "less than 1: sensors outside it")
-    method = method_of(scene, reflection, path)
     nodes = enforce(nodes, [*scene.checks(), *cameras.checks(), eye, *method.checks(scene)])
     keys = jax.vmap(jax.random.fold_in, (None, 0))(base, jnp.arange(aspect.shape[0], dtype=jnp.uint32))
     optical = compiled_radiometry(scene, nodes)
@@ -141,9 +152,11 @@ def prepare_views(
 
 
 @eqx.filter_jit
-def view_intensity(views: Views, index: Int[Array, ""]) -> tuple[Float[Array, " band"], Float[Array, " band"]]:
-    """Contrast intensity of one view and its standard error."""
+def view_intensity(
+    views: Views, index: Int[Array, ""]
+) -> tuple[Float[Array, " band"], Float[Array, " band"], Float[Array, " band"]]:
+    """Contrast intensity of one view, its standard error, and the share missing from it."""
     camera, key = jax.tree.map(lambda leaf: leaf[index], (views.cameras, views.keys))
     taken = Pass(views.optical, camera, key, views.strata, views.method)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), taken.chunks()))
-    return image.radiant_intensity(), image.intensity_error()
+    return image.radiant_intensity(), image.intensity_error(), image.missing()
