@@ -47,7 +47,7 @@ def bands(count: int) -> jaxir.Nodes:
 def one_pass(scene, nodes, samples=2, reflection=None) -> tuple[float, float]:
     """Seconds of all chunks, and the temporary memory of one [MB]."""
     camera = fitted_camera(40.0, 20.0, scene.extent(), (PIXELS, PIXELS))
-    method = method_of(scene, reflection, jaxir.CellSum())
+    method = method_of(scene, reflection, None, jaxir.CellSum())
     whole = Pass(compiled_radiometry(scene, nodes), camera, jax.random.key(0), pixel_strata(samples), method)
     chunks = whole.chunks()
     compiled = estimate_chunk.lower(whole, chunks[0]).compile()
