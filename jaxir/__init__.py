@@ -23,6 +23,7 @@ from jaxir.optics.brdf_parts import BrdfPerFace as BrdfPerFace
 from jaxir.optics.brdf_table import BrdfTable as BrdfTable
 from jaxir.optics.cold_path import slant_range as slant_range
 from jaxir.optics.combustion import combustion_products as combustion_products
+from jaxir.optics.correlated_k import CorrelatedK as CorrelatedK
 from jaxir.optics.gas import GrayGas as GrayGas
 from jaxir.optics.microfacet import RoughConductor as RoughConductor
 from jaxir.optics.mie import mie_table as mie_table
@@ -39,6 +40,8 @@ from jaxir.optics.planck import brightness_temperature as brightness_temperature
 from jaxir.optics.profile import us_standard_1976 as us_standard_1976
 from jaxir.optics.resolve import nodes_for as nodes_for
 from jaxir.optics.resolve import resolved_nodes as resolved_nodes
+from jaxir.quantity import alone as alone
+from jaxir.quantity import at_target as at_target
 from jaxir.render import Image as Image
 from jaxir.render import Outcome as Outcome
 from jaxir.render import Signature as Signature
@@ -61,7 +64,6 @@ from jaxir.scene.skin import Skin as Skin
 from jaxir.scene.sky import ElevationTable as ElevationTable
 from jaxir.scene.source import ParallelSource as ParallelSource
 from jaxir.transport.evaluate import evaluate as evaluate
-from jaxir.transport.evaluate import radiometry as radiometry
 from jaxir.transport.jet import resolve_jet as resolve_jet
 from jaxir.transport.path_estimator import CellSum as CellSum
 from jaxir.transport.path_estimator import CombinedIntegration as CombinedIntegration
@@ -69,9 +71,11 @@ from jaxir.transport.path_estimator import LineIntegration as LineIntegration
 from jaxir.transport.path_estimator import PointIntegration as PointIntegration
 from jaxir.transport.paths import store_crossings as store_crossings
 from jaxir.transport.paths import trace as trace
+from jaxir.transport.radiometry import radiometry as radiometry
 from jaxir.transport.reflection import AmbientTerm as AmbientTerm
 from jaxir.transport.reflection import BrdfSampling as BrdfSampling
 from jaxir.transport.reflection import ClosedForm as ClosedForm
 from jaxir.transport.reflection import LightSampling as LightSampling
 from jaxir.transport.reflection import MultipleImportance as MultipleImportance
 from jaxir.transport.reflection import Reflection as Reflection
+from jaxir.transport.scattering import Scattering as Scattering

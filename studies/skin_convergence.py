@@ -21,8 +21,9 @@ from tqdm import tqdm
 
 import jaxir
 from jaxir.geometry.ray import Rays
-from jaxir.transport.evaluate import evaluate, radiometry
+from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import radiometry
 from studies import charts  # noqa: F401  (chooses the backend)
 
 NODES = jaxir.gray_nodes((jaxir.MWIR,))

@@ -1,23 +1,34 @@
 """The house stands: imports run downward only, and a scene compiles no more than it holds."""
 
 import ast
-import importlib
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 
 import jaxir
-import jaxir.transport.paths as paths_module
+import jaxir.transport.sight as sight
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import gray_nodes
-from jaxir.transport.evaluate import evaluate, radiometry
+from jaxir.render import chunks as chunks_module
+from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import radiometry
 from tests.scenes import gray_box, plate
 
-render_module = importlib.import_module("jaxir.render")  # the package's attribute of that name is the function
 PACKAGE = Path(jaxir.__file__).parent
-FLOORS = {"optics": 0, "geometry": 0, "scene": 1, "transport": 2, "render": 3, "fit": 3, "io": 4}
+FLOORS = {
+    "optics": 0,
+    "geometry": 0,
+    "scene": 1,
+    "transport": 2,
+    "quantity": 3,
+    "render": 3,
+    "fit": 3,
+    "io": 4,
+    "plot": 4,
+    "command_line": 5,
+}
 
 
 def _room(module: str) -> str | None:
@@ -104,7 +115,7 @@ def test_nothing_is_sampled_without_lights_of_an_extent_or_bounces():
 
 def test_shadow_rays_are_traced_for_sources_only(monkeypatch):
     asked = []
-    monkeypatch.setattr(paths_module, "occluded", lambda mesh, point, face, *rest: asked.append(1) or face > 99)
+    monkeypatch.setattr(sight, "occluded", lambda mesh, point, face, *rest: asked.append(1) or face > 99)
     trace(jaxir.Scene(plate()), _rays())
     assert not asked
     trace(jaxir.Scene(plate(), sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 1.0),)), _rays())
@@ -113,7 +124,7 @@ def test_shadow_rays_are_traced_for_sources_only(monkeypatch):
 
 def test_new_values_never_compile_again(monkeypatch):
     traced = []
-    monkeypatch.setattr(render_module, "trace", lambda *args: traced.append(1) or trace(*args))
+    monkeypatch.setattr(chunks_module, "trace", lambda *args: traced.append(1) or trace(*args))
 
     def run(temperature, emissivity, absorption, irradiance, azimuth):
         scene = jaxir.Scene(

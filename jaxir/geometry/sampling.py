@@ -25,7 +25,7 @@ from jaxir._vector import dot, frame_around
 
 def sample_hemisphere(u: Float[Array, " 2"], normal: Float[Array, " 3"]) -> Float[Array, " 3"]:
     """A direction [3] uniform in solid angle on the side of `normal`, from two numbers uniform in [0, 1)."""
-    return _about(1 - u[0], u[1], normal)
+    return turned(1 - u[0], u[1], normal)
 
 
 def pdf_hemisphere(omega: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Float[Array, ""]:
@@ -46,7 +46,7 @@ def sample_cap(u: Float[Array, " 2"], axis: Float[Array, " 3"], drop: Float[Arra
 
     Differentiable in axis and drop.
     """
-    return _about(1 - u[0] * drop, u[1], axis)
+    return turned(1 - u[0] * drop, u[1], axis)
 
 
 def pdf_cap(omega: Float[Array, " 3"], axis: Float[Array, " 3"], drop: Float[Array, ""]) -> Float[Array, ""]:
@@ -68,8 +68,8 @@ def sphere_drop(point: Float[Array, " 3"], centre: Float[Array, " 3"], radius: F
     return jnp.where(outside, ratio / (1 + jnp.sqrt(1 - ratio)), 2)
 
 
-def _about(cos: Float[Array, ""], turn: Float[Array, ""], axis: Float[Array, " 3"]) -> Float[Array, " 3"]:
-    """The direction at `cos` from the axis, `turn` of a full turn around it."""
+def turned(cos: Float[Array, ""], turn: Float[Array, ""], axis: Float[Array, " 3"]) -> Float[Array, " 3"]:
+    """The direction [3] whose angle with the axis has the cosine `cos`, `turn` of a full turn around it."""
     square = (1 - cos) * (1 + cos)
     sine = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
     angle = 2 * jnp.pi * turn

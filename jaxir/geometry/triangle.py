@@ -143,3 +143,11 @@ def dot(a: list[Array], b: list[Array]) -> Array:
 
 def _cross(a: list[Array], b: list[Array]) -> list[Array]:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def no_hit(origin: Float[Array, "ray 3"]) -> Hit:
+    """The record of rays [ray, 3] that meet nothing."""
+    none = jnp.zeros_like(origin)
+    count = origin.shape[0]
+    miss = jnp.full(count, -1, jnp.int32)
+    return Hit(miss, jnp.full(count, jnp.inf, origin.dtype), barycentric=none, point=origin, normal=none)

@@ -92,7 +92,7 @@ def load_flow(
         ValueError: an unknown unit, no such file or time, an unreadable file, no volume cells, a field that is
             missing, not scalar or not finite, a box without volume or beside the data; the message names the file.
     """
-    pyvista = _pyvista()
+    pyvista = require_pyvista()
     file = Path(path)
     if unit not in METRES:
         raise ValueError(f"unit: got {unit!r}, expected one of {', '.join(METRES)}")
@@ -100,7 +100,7 @@ def load_flow(
         raise ValueError(f"{file}: got no fields to read, expected names with the values beyond the data")
     if samples < 1:
         raise ValueError(f"samples: got {samples}, expected an integer >= 1")
-    source = _volume(pyvista, file, _read(pyvista, file, time))
+    source = _volume(pyvista, file, read_dataset(pyvista, file, time))
     for name in fields:
         _check_field(file, source, name)
     metres = METRES[unit]
@@ -122,16 +122,21 @@ def load_flow(
     return FlowField(grid, sampled, report, covered)
 
 
-def _pyvista() -> ModuleType:
+def require_pyvista() -> ModuleType:
+    """pyvista, or the error that says how to install it."""
     try:
         import pyvista
     except ImportError as error:
-        raise ImportError('reading flow fields needs pyvista: pip install "jaxir[cfd]"') from error
+        raise ImportError('reading computed fields needs pyvista: pip install "jaxir[cfd]"') from error
     return pyvista
 
 
-def _read(pyvista: ModuleType, file: Path, time: float | None) -> Any:
-    """The data set in a file at a time."""
+def read_dataset(pyvista: ModuleType, file: Path, time: float | None) -> Any:
+    """The data set in a file at a time; the last without one.
+
+    Raises:
+        ValueError: no such file or time, or not readable; names the file.
+    """
     if not file.is_file():
         raise ValueError(f"{file}: no such file")
     try:
@@ -140,7 +145,7 @@ def _read(pyvista: ModuleType, file: Path, time: float | None) -> Any:
             reader = pyvista.get_reader(str(file))
             times = list(getattr(reader, "time_values", None) or [])
     except Exception as error:  # readers raise whatever their parsers do
-        raise ValueError(f"{file}: not readable as a flow field ({type(error).__name__}: {error})") from error
+        raise ValueError(f"{file}: not readable as a computed field ({type(error).__name__}: {error})") from error
     if time is not None and not any(math.isclose(time, known) for known in times):
         raise ValueError(f"{file}: time {time} not found, the file holds {times or 'no times'}")
     try:
@@ -150,7 +155,7 @@ def _read(pyvista: ModuleType, file: Path, time: float | None) -> Any:
                 reader.set_active_time_value(min(times, key=lambda t: abs(t - time)) if time is not None else times[-1])
             return reader.read()
     except Exception as error:
-        raise ValueError(f"{file}: not readable as a flow field ({type(error).__name__}: {error})") from error
+        raise ValueError(f"{file}: not readable as a computed field ({type(error).__name__}: {error})") from error
 
 
 def _volume(pyvista: ModuleType, file: Path, data: Any) -> Any:

@@ -129,6 +129,21 @@ class Nodes(eqx.Module):
         return radiance @ (self.response * self.weight[None, :]).T
 
 
+def quantile_index(species: str) -> int:
+    """Which of a node's two quantiles orders the lines of a species: the first for CO2, the second for all others.
+
+    Lines of different molecules lie at random to one another; among the gases of an exhaust CO2 and H2O overlap where
+    both are strong.
+    """
+    return 0 if species == "CO2" else 1
+
+
+def bin_edges(nodes: Nodes) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper edge of each node's bin [node] [cm-1] on the host, in double precision as they were given."""
+    exact = np.asarray(nodes.edge, np.float64).sum(axis=-1) / SECOND_RADIATION
+    return exact[:, 0], exact[:, 1]
+
+
 def build_nodes(
     lower: np.ndarray,
     upper: np.ndarray,

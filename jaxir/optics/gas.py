@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import abc
+import functools
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, non_negative
+from jaxir._arrays import Check, as_float, fraction, non_negative
 from jaxir.optics.band import Nodes
 
 
@@ -36,6 +38,39 @@ class AbstractGas(eqx.Module):
     @abc.abstractmethod
     def checks(self) -> list[Check]:
         """What must hold of the fields' values."""
+
+
+def require_cells(name: str, fields: list[Array], temperature: Array) -> None:
+    """Raise `ValueError` unless every field of the gas `name` is a scalar or has the cells of `temperature`."""
+    if any(field.shape not in ((), temperature.shape) for field in fields):
+        got = [field.shape for field in fields]
+        raise ValueError(f"{name}: got fields of shapes {got}, expected cells {temperature.shape} or scalars")
+
+
+def require_one_shape(name: str, fields: list[Array]) -> None:
+    """Raise `ValueError` unless the fields of the gas `name` are scalars or of one shape."""
+    shapes = {field.shape for field in fields} - {()}
+    if len(shapes) > 1:
+        raise ValueError(f"{name}: got fields of shapes {sorted(shapes)}, expected one shape and scalars")
+
+
+def require_uniform(name: str, fields: list[Array]) -> None:
+    """Raise `ValueError` if a field of the gas `name` already differs from cell to cell."""
+    shapes = sorted({field.shape for field in fields} - {()})
+    if shapes:
+        raise ValueError(
+            f"{name}: got fields of shapes {shapes}, expected scalars: gas that is the same everywhere before it is "
+            "diluted"
+        )
+
+
+def mixture_checks(name: str, amounts: Mapping[str, Array]) -> list[Check]:
+    """Mole fractions of the gas `name` lie in [0, 1] and sum to at most 1."""
+    total = functools.reduce(jnp.add, jnp.broadcast_arrays(*amounts.values()))
+    return [
+        *(fraction(f"{name}.{species}", value) for species, value in amounts.items()),
+        Check(f"{name}: sum of mole fractions", total, total <= 1 + 1e-5, "a sum <= 1"),
+    ]
 
 
 class GrayGas(AbstractGas):

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, enforce, fraction, positive
+from jaxir._arrays import Check, as_float, enforce, positive
 from jaxir.optics._tables import ABSENT, HOT_GAS_EDGES, HOT_GAS_TEMPERATURE, hot_gas, overlap_matrix
-from jaxir.optics.band import Nodes
+from jaxir.optics.band import Nodes, quantile_index
 from jaxir.optics.combustion import NITROGEN_PER_OXYGEN
-from jaxir.optics.gas import AbstractGas
+from jaxir.optics.gas import AbstractGas, mixture_checks, require_cells, require_one_shape, require_uniform
 from jaxir.optics.k_distribution import log_quantile, quantile_series
 from jaxir.optics.spline import spline_matrix, spline_weights
 
@@ -28,7 +28,6 @@ _WIDTH = {
     "CO": ((0.07, 0.06, 0.06, 0.05, 0.06), 0.0),
 }
 _MOLAR_MASS = {"CO2": 44.01, "H2O": 18.015, "CO": 28.01}
-_QUANTILE = {"CO2": 0, "H2O": 1, "CO": 1}
 _DOPPLER = 3.581163e-7  # half-width / (nu sqrt(T / M)): sqrt(2 ln 2 k N_A / c^2) with M in g/mol
 
 
@@ -77,9 +76,7 @@ class NarrowBandGas(AbstractGas):
         self.co2 = None if co2 is None else as_float(co2, "NarrowBandGas.co2")
         self.co = None if co is None else as_float(co, "NarrowBandGas.co")
         self.o2 = as_float(o2, "NarrowBandGas.o2")
-        shapes = {field.shape for field in jax.tree.leaves(self)} - {()}
-        if len(shapes) > 1:
-            raise ValueError(f"NarrowBandGas: got fields of shapes {sorted(shapes)}, expected one shape and scalars")
+        require_one_shape("NarrowBandGas", jax.tree.leaves(self))
         if self.h2o is None and self.co2 is None and self.co is None:
             raise ValueError("NarrowBandGas: got no species, expected a mole fraction for h2o, co2 or co")
 
@@ -90,12 +87,7 @@ class NarrowBandGas(AbstractGas):
             ValueError: fields and temperature differ in shape; a bin reaches below 800 cm-1, where the table ends.
             RuntimeError: the same for bins known only at run time.
         """
-        fields = jax.tree.leaves(self)
-        if any(field.shape not in ((), temperature.shape) for field in fields):
-            got = [field.shape for field in fields]
-            raise ValueError(
-                f"NarrowBandGas: got fields of shapes {got}, expected cells {temperature.shape} or scalars"
-            )
+        require_cells("NarrowBandGas", jax.tree.leaves(self), temperature)
         edge = jnp.asarray(HOT_GAS_EDGES[0] * (1 - 1e-6), nodes.lower.dtype)
         check = Check(
             "nodes.lower", nodes.lower, nodes.lower >= edge, "bins above 800 cm-1, where NarrowBandGas starts"
@@ -121,12 +113,7 @@ class NarrowBandGas(AbstractGas):
         Raises:
             ValueError: the gas already differs from cell to cell.
         """
-        shapes = sorted({field.shape for field in jax.tree.leaves(self)} - {()})
-        if shapes:
-            raise ValueError(
-                f"NarrowBandGas: got fields of shapes {shapes}, expected scalars: gas that is the same everywhere "
-                "before it is diluted"
-            )
+        require_uniform("NarrowBandGas", jax.tree.leaves(self))
         h2o, co2, co = (None if x is None else share * x for x in (self.h2o, self.co2, self.co))
         return NarrowBandGas(self.pressure, h2o, co2, co, share * self.o2 + (1 - share) / (1 + NITROGEN_PER_OXYGEN))
 
@@ -147,12 +134,7 @@ class NarrowBandGas(AbstractGas):
         """Pressure is > 0, mole fractions lie in [0, 1] and sum to at most 1."""
         amounts = {"h2o": self.h2o, "co2": self.co2, "co": self.co, "o2": self.o2}
         given = {name: value for name, value in amounts.items() if value is not None}
-        total = functools.reduce(jnp.add, jnp.broadcast_arrays(*given.values()))
-        return [
-            positive("NarrowBandGas.pressure", self.pressure),
-            *(fraction(f"NarrowBandGas.{name}", value) for name, value in given.items()),
-            Check("NarrowBandGas: sum of mole fractions", total, total <= 1 + 1e-5, "a sum <= 1"),
-        ]
+        return [positive("NarrowBandGas.pressure", self.pressure), *mixture_checks("NarrowBandGas", given)]
 
 
 class _SpeciesTable(eqx.Module):
@@ -171,7 +153,7 @@ class _SpeciesTable(eqx.Module):
         strong = share @ as_float(np.sqrt(table.coefficient * table.inverse_spacing).T) + np.sqrt(ABSENT)
         self.log_coefficient = jnp.log(mean).T
         self.log_lines = (2 * jnp.log(strong) - jnp.log(mean)).T + np.log(4)
-        self.series = quantile_series(nodes.g[:, _QUANTILE[species]])
+        self.series = quantile_series(nodes.g[:, quantile_index(species)])
         self.doppler = (_DOPPLER / _MOLAR_MASS[species] ** 0.5 / 2) * (nodes.lower + nodes.upper)
 
 

@@ -36,9 +36,25 @@ class ParticleOptics(eqx.Module):
 class AbstractParticles(eqx.Module):
     """Particles of one kind, more or fewer of them in each cell."""
 
+    @property
+    @abc.abstractmethod
+    def cells(self) -> tuple[int, ...]:
+        """Shape of the cell axes; () for the same everywhere."""
+
     @abc.abstractmethod
     def optics(self, nodes: Nodes) -> ParticleOptics:
         """Extinction, albedo and phase function on `nodes`."""
+
+    @abc.abstractmethod
+    def diluted(self, amount: Float[Array, "*cell"]) -> AbstractParticles:
+        """These particles, the same everywhere, `amount` [*cell] times as many; with fields per cell."""
+
+    @abc.abstractmethod
+    def guide(self) -> tuple[Float[Array, "*cell"], AbstractPhase]:
+        """A typical extinction [*cell] [m-1] and phase function, by which places and directions are drawn.
+
+        They decide the variance of what is scattered and nothing else: it is the optics on the nodes that counts.
+        """
 
     @abc.abstractmethod
     def checks(self) -> list[Check]:
@@ -75,6 +91,29 @@ class GrayParticles(AbstractParticles):
                 raise ValueError(f"GrayParticles.{field}: got {value.shape[-1]} nodes, expected {nodes.count} or 1")
         extinction = jnp.broadcast_to(self.extinction, self.extinction.shape[:-1] + (nodes.count,))
         return ParticleOptics(extinction, jnp.broadcast_to(self.albedo, (nodes.count,)), self.phase)
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """See `AbstractParticles.cells`."""
+        return self.extinction.shape[:-1]
+
+    def diluted(self, amount: Float[Array, "*cell"]) -> GrayParticles:
+        """See `AbstractParticles.diluted`.
+
+        Raises:
+            ValueError: the extinction already differs from cell to cell.
+        """
+        if self.cells:
+            raise ValueError(
+                f"GrayParticles.extinction: got shape {self.extinction.shape}, expected one value or (node,): "
+                "particles that are the same everywhere before they are diluted"
+            )
+        extinction = amount[..., None] * self.extinction.reshape((1,) * amount.ndim + (-1,))
+        return GrayParticles(extinction, self.albedo, self.phase)
+
+    def guide(self) -> tuple[Float[Array, "*cell"], AbstractPhase]:
+        """See `AbstractParticles.guide`: the mean over the nodes."""
+        return jnp.mean(self.extinction, axis=-1), self.phase
 
     def checks(self) -> list[Check]:
         """Extinction is >= 0, the albedo lies in [0, 1]."""
@@ -177,6 +216,31 @@ class Particles(AbstractParticles):
         phase = weight @ (table.scattering[:, None] / unit * table.phase)
         spread = (self.number_density * unit)[..., None] * extinction.reshape((1,) * self.number_density.ndim + (-1,))
         return ParticleOptics(spread, scattering / extinction, TabulatedPhase(table.cosine, phase))
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """See `AbstractParticles.cells`."""
+        return self.number_density.shape
+
+    def diluted(self, amount: Float[Array, "*cell"]) -> Particles:
+        """See `AbstractParticles.diluted`.
+
+        Raises:
+            ValueError: the number density already differs from cell to cell.
+        """
+        if self.cells:
+            raise ValueError(
+                f"Particles.number_density: got shape {self.cells}, expected one value: particles that are the same "
+                "everywhere before they are diluted"
+            )
+        return Particles(amount * self.number_density, self.table)
+
+    def guide(self) -> tuple[Float[Array, "*cell"], AbstractPhase]:
+        """See `AbstractParticles.guide`: the mean over the whole table."""
+        table = self.table
+        unit = jnp.mean(table.extinction)
+        phase = TabulatedPhase(table.cosine, jnp.mean(TabulatedPhase(table.cosine, table.phase).value, axis=0))
+        return self.number_density * unit, phase
 
     def checks(self) -> list[Check]:
         """The number density is >= 0, the table's values in range."""

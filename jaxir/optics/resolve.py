@@ -26,7 +26,7 @@ def quantiles(points: int) -> tuple[np.ndarray, np.ndarray]:
     """Quadrature over the quantile g of one gas: Gauss-Legendre in s, g = 1 - (1 - s)^3.
 
     Over Malkmus' distribution with shapes b = e^-6 ... e^4, 8 points err by 1.3 % rms, 6 by 3.5 %, 12 by 0.2 %; plain
-    Gauss-Legendre with 8 points errs by 17 %.
+    Gauss-Legendre with 8 points errs by 17 %. For b >= e^-2 the 8 points are within 0.3 % at any depth.
 
     Args:
         points: number of points >= 1.

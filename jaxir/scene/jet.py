@@ -13,6 +13,7 @@ from jaxir._arrays import Check, as_float, finite, positive, require_shape
 from jaxir._vector import frame_around
 from jaxir.geometry.grid import Grid
 from jaxir.optics.gas import AbstractGas
+from jaxir.optics.particles import AbstractParticles
 from jaxir.scene.plume import GridPlume
 
 
@@ -40,6 +41,7 @@ class JetPlume(eqx.Module):
         exit_temperature: T_exit [K].
         ambient_temperature: T_ambient [K].
         gas: pure exhaust at exit temperature, the same everywhere; mixed with air by `AbstractGas.diluted`.
+        particles: those in pure exhaust at exit temperature, the same everywhere; they follow the gas. None for none.
         core_length: z_core / d.
         spreading: slope of the edge.
         length: where the jet ends [diameters].
@@ -54,6 +56,7 @@ class JetPlume(eqx.Module):
     exit_temperature: Float[Array, ""]
     ambient_temperature: Float[Array, ""]
     gas: AbstractGas
+    particles: AbstractParticles | None
     core_length: Float[Array, ""]
     spreading: Float[Array, ""]
     length: Float[Array, ""]
@@ -72,6 +75,7 @@ class JetPlume(eqx.Module):
         spreading: Any = 0.22,
         length: Any = 50.0,
         panels: int = 4,
+        particles: AbstractParticles | None = None,
     ):
         """Convert every parameter to an array; fields as in the class."""
         for name, value, shape in (
@@ -90,6 +94,7 @@ class JetPlume(eqx.Module):
         if panels < 1:
             raise ValueError(f"JetPlume.panels: got {panels}, expected an integer >= 1")
         self.gas = gas
+        self.particles = particles
         self.panels = panels
 
     @property
@@ -139,6 +144,12 @@ class JetPlume(eqx.Module):
         """The gas at exhaust fractions [*cell], diluted by air and as dense as its temperature makes it."""
         return self.gas.diluted(fraction, self.exit_temperature / self.temperature(fraction))
 
+    def suspension(self, fraction: Float[Array, "*cell"]) -> AbstractParticles | None:
+        """The particles at exhaust fractions [*cell], diluted and as dense as the gas; None without."""
+        if self.particles is None:
+            return None
+        return self.particles.diluted(fraction * self.exit_temperature / self.temperature(fraction))
+
     def with_panels(self, panels: int) -> JetPlume:
         """The same jet, integrated with another number of panels."""
         return JetPlume(
@@ -152,6 +163,7 @@ class JetPlume(eqx.Module):
             spreading=self.spreading,
             length=self.length,
             panels=panels,
+            particles=self.particles,
         )
 
     def to_grid(self, grid: Grid) -> GridPlume:
@@ -160,7 +172,7 @@ class JetPlume(eqx.Module):
         Differentiable in the jet's fields, almost everywhere.
         """
         temperature, fraction = self.state(grid.centres())
-        return GridPlume(grid, temperature, self.mixture(fraction))
+        return GridPlume(grid, temperature, self.mixture(fraction), self.suspension(fraction))
 
     def extent(self) -> Float[Array, "8 3"]:
         """Points whose convex hull holds the jet [8, 3] [m]: squares about its two ends."""
@@ -188,6 +200,7 @@ class JetPlume(eqx.Module):
             positive("JetPlume.spreading", self.spreading),
             positive("JetPlume.length", self.length),
             *self.gas.checks(),
+            *([] if self.particles is None else self.particles.checks()),
         ]
 
 

@@ -26,15 +26,15 @@ class Scene(eqx.Module):
     Attributes:
         skin: opaque surface.
         plume: emitting and absorbing gas.
-        sources: lights, without extent (`ParallelSource`, `PointSource`) and with (`DiscSource`, `SphereSource`). They
-            light the skin; a camera does not see them, and they cast no shadow.
+        sources: lights, without extent (`ParallelSource`, `PointSource`) and with (`DiscSource`, `SphereSource`, or
+            a background). They light the skin; a camera does not see them, and they cast no shadow.
         background: what rays see that meet nothing.
         atmosphere: the path from the target to the sensor.
     """
 
     skin: Skin | None = None
     plume: GridPlume | JetPlume | None = None
-    sources: tuple[AbstractDeltaSource | AbstractAreaSource, ...] = ()
+    sources: tuple[AbstractDeltaSource | AbstractAreaSource | AbstractBackground, ...] = ()
     background: AbstractBackground | None = None
     atmosphere: AbstractAtmosphere | None = None
 
@@ -49,8 +49,14 @@ class Scene(eqx.Module):
 
     @property
     def area_sources(self) -> tuple[AbstractAreaSource, ...]:
-        """The sources with an extent."""
+        """The sources with an extent at a finite distance."""
         return tuple(source for source in self.sources if isinstance(source, AbstractAreaSource))
+
+    @property
+    def surroundings(self) -> tuple[AbstractBackground, ...]:
+        """What can light the skin from all around: backgrounds among the sources, and the background."""
+        hidden = tuple(source for source in self.sources if isinstance(source, AbstractBackground))
+        return hidden if self.background is None else (*hidden, self.background)
 
     def extent(self) -> Float[Array, "corner 3"]:
         """Points whose convex hull holds skin and plume [corner, 3] [m]: mesh vertices and corners of the plume."""

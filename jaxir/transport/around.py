@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from jaxir._vector import dot
 from jaxir.geometry.mesh import Mesh, any_hit, closest_hit, face_normal
 from jaxir.geometry.ray import Rays
-from jaxir.geometry.triangle import Hit
+from jaxir.geometry.triangle import Hit, no_hit
 from jaxir.optics.brdf import AbstractBrdf
 from jaxir.scene.scene import Scene
 from jaxir.transport.lights import Light, meet_light, sample_light
@@ -128,7 +128,7 @@ def look_around(
             limit = limit.at[0].set(jnp.where(go_on & (leg_factor[0] > 0), jnp.inf, limit[0]))
         flat, face = rays(leg_omega)
         search = partial(closest_hit, mesh, flat, t_max=limit.reshape(-1), leaving=face)
-        met = lax.cond(hollow, search, lambda: no_hit(flat))
+        met = lax.cond(hollow, search, lambda: no_hit(flat.origin))
         free = met.t.reshape(limit.shape)
         if own:
             seen.append(free[None] >= distance[:, count:])
@@ -149,18 +149,6 @@ def _hollow(mesh: Mesh, vertex: Vertex) -> Bool[Array, ""]:
     outward = face_normal(mesh, jnp.maximum(vertex.face, 0))
     inside = (vertex.face >= 0) & (jnp.sum(vertex.normal * outward, axis=-1) < 0) & mesh.closed
     return jnp.any(jnp.greater(*concavity(mesh))) | jnp.any(inside)
-
-
-def no_hit(rays: Rays) -> Hit:
-    """The record of rays that meet nothing."""
-    none = jnp.zeros_like(rays.origin)
-    return Hit(
-        face=jnp.full(rays.count, -1, jnp.int32),
-        t=jnp.full(rays.count, jnp.inf, none.dtype),
-        barycentric=none,
-        point=rays.origin,
-        normal=none,
-    )
 
 
 def _draw(

@@ -32,7 +32,8 @@ def closed_form(scene: Scene, nodes: Nodes, vertex: Vertex) -> Float[Array, "ray
             return jnp.maximum(dot(vector, normal), 0) * emitted
 
         arriving = arriving + jax.vmap(found)(vertex.point, vertex.normal)
-    if isinstance(scene.background, AbstractUniformBackground):
-        arriving = arriving + scene.background.level(nodes)[None, :]
+    for around in scene.surroundings:
+        assert isinstance(around, AbstractUniformBackground)
+        arriving = arriving + around.level(nodes)[None, :]
     brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
     return jax.vmap(lambda b: b.reflectance(jnp.ones((), vertex.point.dtype)))(brdf) * arriving

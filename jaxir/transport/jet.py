@@ -32,9 +32,9 @@ from jaxir.geometry.cone import FLAT, AxisView, inside_cone, view_from_axis
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.optics.layer import through_layer
-from jaxir.optics.planck import band_radiance
+from jaxir.optics.phase import AbstractPhase
 from jaxir.scene.jet import JetPlume
-from jaxir.transport.medium import AbstractMedium
+from jaxir.transport.medium import AbstractMedium, plume_optics
 
 KNOTS = 1024  # 1.7 K apart between 300 and 2000 K: linear interpolation errs by 1e-4 where the gas is above 500 K
 MOST_PANELS = 256
@@ -50,11 +50,15 @@ class JetMedium(AbstractMedium):
         jet: the jet.
         extinction: [knot, node] [m-1].
         emission: absorption times blackbody radiance [knot, node] [W m-3 sr-1].
+        scattering: [knot, node] [m-1]; None without particles.
+        phase: phase function of the particles; None without.
     """
 
     jet: JetPlume
     extinction: Float[Array, "knot node"]
     emission: Float[Array, "knot node"]
+    scattering: Float[Array, "knot node"] | None
+    phase: AbstractPhase | None
 
     def leg(
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"]
@@ -67,13 +71,17 @@ class JetMedium(AbstractMedium):
         """See `AbstractMedium.transmittance`. Differentiable in the jet, the rays and `t_max`."""
         return jnp.exp(-_integrate(self, rays, t_max)[1])
 
+    def scattering_at(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.scattering_at`. Differentiable in the jet and the points."""
+        assert self.scattering is not None
+        return _between(self.scattering, self.jet.state(point)[1])
+
 
 def jet_medium(jet: JetPlume, nodes: Nodes) -> JetMedium:
     """A jet on the nodes. Differentiable in the jet's fields."""
     fraction = as_float(np.linspace(0, 1, KNOTS + 1))
     temperature = jet.temperature(fraction)
-    extinction = jet.mixture(fraction).absorption(nodes, temperature)
-    return JetMedium(jet, extinction, extinction * band_radiance(temperature, nodes))
+    return JetMedium(jet, *plume_optics(jet.mixture(fraction), jet.suspension(fraction), nodes, temperature))
 
 
 class _Chord(NamedTuple):
@@ -138,6 +146,32 @@ def _spread(jet: JetPlume, view: AxisView, begin: Array, end: Array) -> _Spread:
     return _Spread(begin, end - begin, jnp.where(even, 1, growth), even)
 
 
+def jet_panels(
+    jet: JetPlume, origin: Float[Array, " 3"], direction: Float[Array, " 3"], t_max: Float[Array, ""]
+) -> tuple[Float[Array, ""], Float[Array, " panel"], Float[Array, " panel"]]:
+    """The panels of one ray, near to far, and the exhaust fraction in the middle of each.
+
+    Returns:
+        Where the first begins [m], lengths [panel] [m], exhaust fractions [panel]. A miss has panels of no length.
+    """
+    chord = _chord(jet, origin, direction, t_max)
+    lengths, fractions = [], []
+    edges, middles = (
+        as_float((np.arange(n) + shift) / jet.panels) for n, shift in ((jet.panels + 1, 0), (jet.panels, 0.5))
+    )
+    for first in range(5):
+        begin, end = chord.cuts[first], chord.cuts[first + 1]
+        if first == 2:
+            lengths.append((end - begin)[None])
+            fractions.append(jnp.ones(1, begin.dtype))
+            continue
+        spread = _spread(jet, chord.view, begin, end)
+        middle = jax.vmap(spread.place)(middles)[0]
+        lengths.append(jnp.diff(jax.vmap(spread.place)(edges)[0]))
+        fractions.append(jet.fraction(chord.view.z(middle), chord.view.r_squared(middle)))
+    return chord.cuts[0] + chord.view.start, jnp.concatenate(lengths), jnp.concatenate(fractions)
+
+
 State = tuple[Array, Array]
 
 
@@ -195,16 +229,17 @@ def _through(state: State, depth: Array, emission: Array) -> State:
 
 
 def _look_up(medium: JetMedium, fraction: Float[Array, " ray"]) -> tuple[Array, Array]:
-    """Extinction and emission [ray, node], linear between knots."""
+    """Extinction and emission [ray, node]."""
+    return _between(medium.extinction, fraction), _between(medium.emission, fraction)
+
+
+def _between(table: Float[Array, "knot node"], fraction: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+    """A table over the exhaust fraction, linear between knots."""
     place = fraction * KNOTS
     knot = jnp.clip(place.astype(jnp.int32), 0, KNOTS - 1)
     part = (place - knot.astype(place.dtype))[:, None]
-
-    def between(table: Array) -> Array:
-        low = table.at[knot].get(mode="promise_in_bounds")
-        return low + part * (table.at[knot + 1].get(mode="promise_in_bounds") - low)
-
-    return between(medium.extinction), between(medium.emission)
+    low = table.at[knot].get(mode="promise_in_bounds")
+    return low + part * (table.at[knot + 1].get(mode="promise_in_bounds") - low)
 
 
 _SAMPLE_ANGLES = np.deg2rad([0.0, 3.0, 15.0, 45.0, 90.0, 135.0, 165.0, 177.0, 180.0])

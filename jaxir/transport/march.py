@@ -42,7 +42,7 @@ CHUNK_FLOATS = 16384  # rays x nodes marched together, so that the state of a ch
 Lists = tuple[Array, ...]
 
 
-def _chunk_rays(rays: int, nodes: int) -> int:
+def chunk_rays(rays: int, nodes: int) -> int:
     """How many rays are marched together."""
     return max(1, min(CHUNK, rays, CHUNK_FLOATS // max(nodes, 1)))
 
@@ -54,7 +54,7 @@ def _chunked(array: Array, size: int) -> Array:
     return jnp.pad(array, padding).reshape((count, size) + array.shape[1:])
 
 
-def _over_chunks(function: Callable, state: Any, size: int, geometry: Lists, per_ray: Lists, shape) -> tuple[Any, Any]:
+def over_chunks(function: Callable, state: Any, size: int, geometry: Lists, per_ray: Lists, shape) -> tuple[Any, Any]:
     """Call `function(state, walk, *per_ray) -> (state, [ray, ...])` chunk after chunk of `size` rays."""
     origin, spacing, ray_origin, ray_direction, t_max = geometry
     grid = Grid(origin, spacing, shape)
@@ -69,7 +69,7 @@ def _over_chunks(function: Callable, state: Any, size: int, geometry: Lists, per
     return state, jax.tree.map(lambda x: x.reshape((-1,) + x.shape[2:])[:count], out)
 
 
-def _fold(walk: Walk, update: Callable, state: Any, near_to_far: bool) -> Any:
+def fold(walk: Walk, update: Callable, state: Any, near_to_far: bool) -> Any:
     """Carry `state` through the segments of a chunk of rays: `update(state, cell [ray], length [ray])`."""
     slabs = jnp.max(walk.last - walk.first)
 
@@ -85,7 +85,7 @@ def _fold(walk: Walk, update: Callable, state: Any, near_to_far: bool) -> Any:
 
 
 def _fold_slabs(walk: Walk, update: Callable, state: Any) -> Any:
-    """As `_fold`, near to far, a whole slab at a time: `update(state, cell [3, ray], length [3, ray])`."""
+    """As `fold`, near to far, a whole slab at a time: `update(state, cell [3, ray], length [3, ray])`."""
 
     def body(i, state):
         slab = walk.first + i
@@ -126,13 +126,13 @@ def _radiance(extinction, emission, behind, *geometry, shape):
             return depth + _beside(length, mu) * mu
 
         dark = jnp.zeros_like(behind)
-        emitted = _fold(walk, emit, dark, near_to_far=False)
+        emitted = fold(walk, emit, dark, near_to_far=False)
         # The summed depth is needed, and costs its own walk, only where there is something behind.
-        depth = lax.cond(jnp.any(behind != 0), lambda: _fold(walk, deepen, dark, near_to_far=False), lambda: dark)
+        depth = lax.cond(jnp.any(behind != 0), lambda: fold(walk, deepen, dark, near_to_far=False), lambda: dark)
         return (), emitted + jnp.exp(-depth) * behind
 
-    size = _chunk_rays(behind.shape[0], *nodes)
-    radiance = _over_chunks(chunk, (), size, geometry, (behind,), shape)[1]
+    size = chunk_rays(behind.shape[0], *nodes)
+    radiance = over_chunks(chunk, (), size, geometry, (behind,), shape)[1]
     return [radiance.reshape((-1, *nodes))]
 
 
@@ -157,16 +157,16 @@ def _radiance_tangent(extinction, emission, behind, _, *rest, shape, wrt):
                 d_radiance = d_radiance - length * (passed + length * thinning(u) * j) * _at(d_extinction, cell)
             return radiance, d_radiance
 
-        return (), _fold(walk, update, (behind, d_behind), near_to_far=False)[1]
+        return (), fold(walk, update, (behind, d_behind), near_to_far=False)[1]
 
-    size = _chunk_rays(*behind.shape)
-    return [_over_chunks(chunk, (), size, geometry, (behind, d_behind), shape)[1]]
+    size = chunk_rays(*behind.shape)
+    return [over_chunks(chunk, (), size, geometry, (behind, d_behind), shape)[1]]
 
 
 def _radiance_adjoint(extinction, emission, behind, radiance, *rest, shape, wrt):
     """Cotangents of those of (extinction, emission, behind) that `wrt` marks."""
     geometry, shapes = rest[:5], (extinction.shape, emission.shape, behind.shape)
-    size = _chunk_rays(*behind.shape)
+    size = chunk_rays(*behind.shape)
     extinction, emission, radiance, cotangent = _alone(extinction, emission, radiance, rest[5])
     sums = (jnp.zeros_like(extinction) if wrt[0] else None, jnp.zeros_like(emission) if wrt[1] else None)
 
@@ -197,7 +197,7 @@ def _radiance_adjoint(extinction, emission, behind, radiance, *rest, shape, wrt)
         passed, _, sums = _fold_slabs(walk, update, (cotangent, cotangent * radiance, sums))
         return sums, passed
 
-    sums, passed = _over_chunks(chunk, sums, size, geometry, (radiance, cotangent), shape)
+    sums, passed = over_chunks(chunk, sums, size, geometry, (radiance, cotangent), shape)
     return [x.reshape(s) for x, s, wanted in zip((*sums, passed), shapes, wrt, strict=True) if wanted]
 
 
@@ -210,10 +210,10 @@ def _depth(*operands, shape):
             return depth + length[:, None] * _at(extinction, cell)
 
         start = jnp.zeros((walk.step.shape[0], extinction.shape[1]), extinction.dtype)
-        return (), _fold(walk, update, start, near_to_far=True)
+        return (), fold(walk, update, start, near_to_far=True)
 
-    size = _chunk_rays(geometry[4].shape[0], extinction.shape[1])
-    return [_over_chunks(chunk, (), size, geometry, (), shape)[1]]
+    size = chunk_rays(geometry[4].shape[0], extinction.shape[1])
+    return [over_chunks(chunk, (), size, geometry, (), shape)[1]]
 
 
 def _depth_adjoint(*operands, shape):
@@ -224,11 +224,11 @@ def _depth_adjoint(*operands, shape):
         def update(total, cell, length):
             return total.at[cell].add(length[:, None] * cotangent, mode="promise_in_bounds")
 
-        return _fold(walk, update, total, near_to_far=True), ()
+        return fold(walk, update, total, near_to_far=True), ()
 
     cells = shape[0] * shape[1] * shape[2]
     start = jnp.zeros((cells, cotangent.shape[1]), cotangent.dtype)
-    return [_over_chunks(chunk, start, _chunk_rays(*cotangent.shape), geometry, (cotangent,), shape)[0]]
+    return [over_chunks(chunk, start, chunk_rays(*cotangent.shape), geometry, (cotangent,), shape)[0]]
 
 
 def _like_ray(operands: tuple, node_axis_of: Any) -> Any:

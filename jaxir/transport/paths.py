@@ -8,17 +8,17 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Key
 
-from jaxir.geometry.mesh import any_hit, closest_hit
+from jaxir.geometry.mesh import closest_hit
 from jaxir.geometry.ray import Bundle, Rays
-from jaxir.geometry.shadow import occluded, occluded_from
-from jaxir.geometry.triangle import Hit
+from jaxir.geometry.triangle import Hit, no_hit
 from jaxir.geometry.walk import Crossings, crossings
-from jaxir.scene.near_source import PointSource
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
-from jaxir.scene.source import AbstractDeltaSource, ParallelSource
 from jaxir.transport.around import Around, Leg, Vertex, look_around
 from jaxir.transport.reflection import Reflection, reflection_of
+from jaxir.transport.scatter_trace import ScatterPath, follow
+from jaxir.transport.scattering import Scattering, scattering_of
+from jaxir.transport.sight import lit_alone, lit_from, normal_towards
 
 
 class Chain(eqx.Module):
@@ -47,7 +47,8 @@ class Paths(eqx.Module):
         crossings: cells of the plume crossed in front of the skin; None without a gridded plume, or where the
             walk is repeated at every evaluation instead of stored.
         around: lights sampled at the hit; None where nothing is sampled.
-        chain: bounces; None without.
+        chain: bounces; None without, and with particles.
+        scatter: legs through a plume with particles; None without them.
     """
 
     rays: Rays
@@ -57,6 +58,7 @@ class Paths(eqx.Module):
     crossings: Crossings | None
     around: Around | None = None
     chain: Chain | None = None
+    scatter: ScatterPath | None = None
 
     @property
     def length(self) -> Float[Array, " ray"]:
@@ -72,7 +74,11 @@ class Paths(eqx.Module):
 
 
 def trace(
-    scene: Scene, rays: Rays | Bundle, reflection: Reflection | None = None, key: Key[Array, ""] | None = None
+    scene: Scene,
+    rays: Rays | Bundle,
+    reflection: Reflection | None = None,
+    key: Key[Array, ""] | None = None,
+    scattering: Scattering | None = None,
 ) -> Paths:
     """Follow rays to the first face they meet, from there to every delta source, and on as `reflection` asks.
 
@@ -82,6 +88,7 @@ def trace(
         reflection: how light from lights with an extent, from the background and from the skin itself is found;
             None: `Reflection()` if the scene has area sources, else only delta sources light the skin.
         key: random key; needed where anything is sampled.
+        scattering: how often paths are scattered by particles; None: `Scattering()` if the plume has particles.
 
     Returns:
         The paths, without derivatives, with every sampled direction and its weight; plume cells are not stored, see
@@ -93,7 +100,23 @@ def trace(
     scene, rays = jax.tree.map(
         lambda leaf: lax.stop_gradient(leaf) if eqx.is_inexact_array(leaf) else leaf, (scene, rays)
     )
-    return _trace(scene, rays, reflection_of(scene, reflection), key)
+    reflection, scattering = reflection_of(scene, reflection), scattering_of(scene, scattering)
+    if scattering is None:
+        return _trace(scene, rays, reflection, key)
+    if key is None:
+        raise ValueError("trace: got no key, expected one: scattering by particles is sampled")
+    return _through_particles(scene, rays, reflection, scattering, key)
+
+
+def _through_particles(
+    scene: Scene, rays: Rays | Bundle, reflection: Reflection | None, scattering: Scattering, key: Array
+) -> Paths:
+    """The first legs as without particles, then from leg to leg."""
+    paths = _trace(scene, rays, None, None)
+    hit = no_hit(paths.rays.origin) if paths.hit is None else paths.hit
+    vertex = None if paths.hit is None else paths.vertex()
+    legs = follow(scene, reflection, scattering, paths.rays, hit, vertex, key)
+    return eqx.tree_at(lambda p: p.scatter, paths, legs, is_leaf=lambda x: x is None)
 
 
 def _trace(scene: Scene, rays: Rays | Bundle, reflection: Reflection | None, key: Array | None) -> Paths:
@@ -101,10 +124,10 @@ def _trace(scene: Scene, rays: Rays | Bundle, reflection: Reflection | None, key
     if scene.skin is None:
         return Paths(single, None, None, None, None)
     hit = closest_hit(scene.skin.mesh, rays)
-    normal = _normal_towards(-single.direction, hit)
+    normal = normal_towards(-single.direction, hit)
     lit = None
     if scene.delta_sources:
-        lit = jnp.stack([_lit(scene, hit, normal, source) for source in scene.delta_sources])
+        lit = jnp.stack([lit_from(scene, hit, normal, source) for source in scene.delta_sources])
     paths = Paths(single, hit, normal, lit, None)
     if reflection is None or not (reflection.bounces or reflection.lights(scene)):
         return paths
@@ -117,41 +140,15 @@ def _trace(scene: Scene, rays: Rays | Bundle, reflection: Reflection | None, key
     return eqx.tree_at(lambda p: p.chain, paths, chain, is_leaf=lambda x: x is None)
 
 
-def _normal_towards(omega: Array, hit: Hit) -> Array:
-    """Normals on the side of `omega`; `omega` itself on a miss."""
-    away = jnp.sum(hit.normal * omega, axis=-1, keepdims=True) < 0
-    return jnp.where((hit.face >= 0)[:, None], jnp.where(away, -hit.normal, hit.normal), omega)
-
-
-def _lit(scene: Scene, hit: Hit, normal: Array, source: AbstractDeltaSource) -> Array:
-    """Whether each hit faces a source without extent and sees it: all points look along one bundle."""
-    assert scene.skin is not None
-    omega_i, distance = jax.vmap(source.toward)(hit.point)
-    facing = (hit.face >= 0) & (distance > 0) & (jnp.sum(normal * omega_i, axis=-1) > 0)
-    if isinstance(source, ParallelSource):
-        return facing & ~occluded(scene.skin.mesh, hit.point, hit.face, -source.direction, facing)
-    assert isinstance(source, PointSource)
-    return facing & ~occluded_from(scene.skin.mesh, hit.point, hit.face, source.position, facing)
-
-
-def _lit_alone(scene: Scene, vertex: Vertex, source: AbstractDeltaSource) -> Array:
-    """The same for points that are no neighbours."""
-    assert scene.skin is not None
-    omega_i, distance = jax.vmap(source.toward)(vertex.point)
-    facing = (vertex.face >= 0) & (distance > 0) & (jnp.sum(vertex.normal * omega_i, axis=-1) > 0)
-    reach = jnp.where(facing, distance, 0)
-    return facing & ~any_hit(scene.skin.mesh, Rays(vertex.point, omega_i), t_max=reach, leaving=vertex.face)
-
-
 def _bounce(scene: Scene, reflection: Reflection, first: Vertex, key: Array) -> Chain:
     """Go on from the skin `bounces` times."""
 
     def step(vertex: Vertex, drawn: tuple[Array, Array]) -> tuple[Vertex, Chain]:
         around, leg, hit = look_around(scene, reflection, vertex, *drawn)
         assert leg is not None and hit is not None
-        landed = Vertex(hit.face, hit.point, _normal_towards(-leg.omega, hit), -leg.omega, None)
+        landed = Vertex(hit.face, hit.point, normal_towards(-leg.omega, hit), -leg.omega, None)
         if vertex.lit is not None:
-            lit = jnp.stack([_lit_alone(scene, landed, source) for source in scene.delta_sources])
+            lit = jnp.stack([lit_alone(scene, landed, source) for source in scene.delta_sources])
             landed = eqx.tree_at(lambda v: v.lit, landed, lit, is_leaf=lambda x: x is None)
         return landed, Chain(vertex, around, leg)
 

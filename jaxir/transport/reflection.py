@@ -123,7 +123,7 @@ class ClosedForm(AbstractDirect):
                 f"ClosedForm: got {type(scene.skin.brdf).__name__} skin with{'out' if scene.plume is None else ''} "
                 "plume, expected Lambert skin without plume; sample instead"
             )
-        lights = (*scene.area_sources, *(() if scene.background is None else (scene.background,)))
+        lights = (*scene.area_sources, *scene.surroundings)
         for light in lights:
             if not isinstance(light, (DiscSource, AbstractUniformBackground)):
                 raise ValueError(
@@ -220,7 +220,7 @@ class Reflection(eqx.Module):
         """What is sampled: every source with an extent, and the background."""
         if sum(self.direct.counts()) == 0:
             return ()
-        return (*scene.area_sources, *(() if scene.background is None else (scene.background,)))
+        return (*scene.area_sources, *scene.surroundings)
 
     def samples(self, scene: Scene) -> int:
         """Directions recorded at each point met."""
@@ -233,10 +233,10 @@ class Reflection(eqx.Module):
 
 
 def reflection_of(scene: Scene, given: Reflection | None) -> Reflection | None:
-    """What is asked, or `Reflection()` for a scene with area sources; None: delta sources alone, nothing sampled."""
+    """What is asked, or `Reflection()` for sources with an extent; None: delta sources alone, nothing sampled."""
     if scene.skin is None:
         return None
-    return Reflection() if given is None and scene.area_sources else given
+    return Reflection() if given is None and len(scene.delta_sources) < len(scene.sources) else given
 
 
 def _count(field: str, value: int, least: int = 1) -> int:

@@ -134,7 +134,7 @@ def test_errors_name_file_field_and_what_was_found(tmp_path):
         (lambda: load("nan.vti"), "nan.vti: field 'T' is nan at entry 5"),
         (lambda: load("skin.vtp"), "skin.vtp: holds no volume cells, found PolyData with 1680 flat cells"),
         (lambda: load("bad.vtu"), "bad.vtu: "),
-        (lambda: load("what.xyzzy"), "what.xyzzy: not readable as a flow field"),
+        (lambda: load("what.xyzzy"), "what.xyzzy: not readable as a computed field"),
         (lambda: load("flow.vti", unit="furlong"), "unit: got 'furlong', expected one of m"),
         (lambda: load("flow.vti", []), "flow.vti: got no fields"),
         (lambda: load("flow.vti", box=[[0, 0, 0], [1, 1, 0]]), "flow.vti: the box .* has no volume"),

@@ -57,6 +57,20 @@ def test_few_quantiles_give_malkmus_emissivity(points, rms):
     assert np.sqrt(np.mean((got / exact - 1) ** 2)) < rms
 
 
+def test_eight_quantiles_are_within_three_per_mille_where_lines_overlap():
+    """At any depth for b >= e^-2; narrower lines have a tail that 8 points cannot follow (5-10 % at b = e^-6)."""
+    g, weight = quantiles(8)
+    series = quantile_series(jnp.asarray(g, np.float32))
+    log_b, depth = np.arange(-2, 6.1, 0.5), np.exp(np.arange(-5, 6.1, 0.5))
+
+    def error(log_b):
+        y = np.exp(log_quantile(series, jnp.broadcast_to(jnp.asarray(log_b, np.float32)[:, None], (log_b.size, 8))))
+        got = np.einsum("g,xbg->xb", weight, -np.expm1(-depth[:, None, None] * y[None]))
+        return np.abs(got / (1 - malkmus(depth[:, None], np.exp(log_b)[None, :])) - 1).max()
+
+    assert error(log_b) < 3e-3 < 0.05 < error(np.array([-6.0]))
+
+
 def test_slope_and_curvature_match_differences(x64):
     series = quantile_series(jnp.asarray(quantiles(8)[0]))
     t = jnp.linspace(-11.5, 9.0, 30)[:, None] * jnp.ones((1, 8))

@@ -1,7 +1,10 @@
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxir
+from jaxir.geometry.ray import Rays
 from jaxir.optics.band import LWIR, MWIR, SWIR, Band, gray_nodes, sensor_band
 from jaxir.optics.planck import band_radiance
 from jaxir.optics.resolve import Resolution, nodes_for, quantiles, resolved_nodes
@@ -114,6 +117,27 @@ def test_coarsest_nodes_that_meet_the_tolerance():
         assert np.all(np.abs(gas_like(nodes) / reference - 1) <= rtol)
         counts.append(nodes.count)
     assert counts == sorted(counts) and counts[0] < counts[-1] == resolved_nodes(MWIR, *ladder[0]).count
+
+
+def test_a_plume_behind_air_needs_more_than_one_node():
+    """A ray through real gas and air: the first of the ladder that agrees with the finest, and not a node more."""
+    grid = jaxir.Grid((-1.0, -0.5, -0.5), (1.0, 1.0, 1.0), (2, 1, 1))
+    gas = jaxir.NarrowBandGas(3e4, h2o=0.0754, co2=0.063)
+    air = jaxir.StandardAtmosphere(10e3, 10e3, 5e3)
+    scene = jaxir.Scene(plume=jaxir.GridPlume(grid, np.array([900.0, 1400.0])[:, None, None], gas), atmosphere=air)
+    paths = jaxir.trace(scene, Rays(jnp.asarray([[5.0, 0.0, 0.0]]), jnp.asarray([[-1.0, 0.0, 0.0]])))
+    found = {}
+
+    def radiance(nodes):
+        value = eqx.filter_jit(lambda s, n: n.in_band(jaxir.evaluate(jaxir.radiometry(s, n), paths)))(scene, nodes)
+        return found.setdefault(nodes.count, value)
+
+    ladder = [Resolution(50.0, 4, 3), Resolution(50.0, 8, 5)]
+    chosen = nodes_for(radiance, MWIR, 0.02, ladder)
+    error = {count: abs(float(value[0, 0]) / float(found[max(found)][0, 0]) - 1) for count, value in found.items()}
+    assert chosen.count == resolved_nodes(MWIR, *ladder[0]).count
+    assert error[chosen.count] < 0.02
+    assert all(value > 0.02 for count, value in error.items() if count < chosen.count)
 
 
 def test_bad_searches_are_refused():

@@ -142,3 +142,14 @@ def test_render_takes_an_estimator():
     error = float(noisy.intensity_error()[0])
     assert abs(off) < 4 * error and error < 0.1 * float(image.radiant_intensity()[0])
     assert float(image.intensity_error()[0]) < 1e-3 * error
+
+
+def test_signature_takes_an_estimator():
+    scene = jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), 1.0))
+    asked = {"views": [(0.0, 0.0), (30.0, 20.0)], "bands": jaxir.MWIR, "shape": (16, 16), "samples": 8}
+    exact = jaxir.signature(scene, **asked)
+    noisy = jaxir.signature(scene, **asked, path=jaxir.CombinedIntegration())
+    error = np.hypot(noisy.standard_error, exact.standard_error)
+    assert (np.abs(noisy.intensity - exact.intensity) < 4 * error).all()
+    assert (noisy.standard_error < 0.05 * exact.intensity).all()
+    assert (exact.standard_error < 0.5 * noisy.standard_error).all()

@@ -13,8 +13,9 @@ from jaxir._arrays import enforce
 from jaxir.geometry.form_factor import disc_vector
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import gray_nodes
-from jaxir.transport.evaluate import evaluate, radiometry
+from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import radiometry
 from tests.scenes import box_mesh, gray_box
 
 NODES = gray_nodes((jaxir.LWIR,))

@@ -1,0 +1,154 @@
+"""Arrays from NPZ, NPY and CSV: values per face of a mesh, and whole fields."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+
+def load_array(path: str | os.PathLike, array: str | None = None) -> np.ndarray:
+    """An array of finite numbers from NPY, or from NPZ by name.
+
+    Args:
+        path: the file.
+        array: its name in an NPZ file; may be absent where the file holds one array.
+
+    Returns:
+        The array in double precision.
+
+    Raises:
+        ValueError: no such file, not readable (cut, or not NPZ or NPY), no such array, values that are not numbers
+            or not finite; names file and place.
+    """
+    file = Path(path)
+    held = _arrays(file)
+    name = array if array is not None else (next(iter(held)) if len(held) == 1 else None)
+    if name not in held:
+        raise ValueError(f"{file}: got array {array!r}, expected one of {', '.join(held) or 'none'}")
+    value = held[name]
+    if not np.issubdtype(value.dtype, np.number) or np.issubdtype(value.dtype, np.complexfloating):
+        raise ValueError(f"{file}: {name} holds {value.dtype}, expected numbers")
+    bad = np.argwhere(~np.isfinite(value))
+    if bad.size:
+        place = tuple(int(i) for i in bad[0])
+        raise ValueError(f"{file}: {name} is {value[place]} at {list(place)}, expected finite numbers")
+    return value.astype(np.float64)
+
+
+def load_face_values(path: str | os.PathLike, count: int, column: str = "temperature") -> np.ndarray:
+    """One number for each face of a mesh from CSV, NPZ or NPY.
+
+    A CSV file is a list of numbers, one a line, or a table whose first line names its columns: `column`, and `face`,
+    the index of each line's face from 0, where lines are not in the order of the faces. Empty lines and lines that
+    start with # are skipped. An NPZ file holds an array of the name `column`, and of the name `face` likewise.
+
+    Args:
+        path: the file.
+        count: faces of the mesh.
+        column: name of the values.
+
+    Returns:
+        The values [face].
+
+    Raises:
+        ValueError: another number of values than faces, a face twice, a column or array that is missing, a cell that
+            is no finite number, another ending; names file and line or place.
+    """
+    file = Path(path)
+    if file.suffix == ".csv":
+        return _from_csv(file, count, column)
+    if file.suffix not in (".npz", ".npy"):
+        raise ValueError(f"{file}: expected a file name that ends in .csv, .npz or .npy")
+    value = load_array(file, column if file.suffix == ".npz" else None)
+    if file.suffix == ".npz" and "face" in _arrays(file):
+        return _by_face(file, load_array(file, "face"), value, count)
+    if value.shape != (count,):
+        raise ValueError(f"{file}: {column} has shape {value.shape}, expected ({count},), one value per face")
+    return value
+
+
+def _arrays(file: Path) -> dict[str, np.ndarray]:
+    """Every array of a file by name; that of an NPY file is called `array`."""
+    if not file.is_file():
+        raise ValueError(f"{file}: no such file")
+    try:
+        with file.open("rb") as stream:
+            held = np.load(stream, allow_pickle=False)
+            return {"array": held} if isinstance(held, np.ndarray) else {name: held[name] for name in held.files}
+    except (OSError, EOFError, ValueError, KeyError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"{file}: not readable as NPZ or NPY ({type(error).__name__}: {error})") from error
+
+
+def _by_face(file: Path, face: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """Values sorted by the face they belong to."""
+    if face.shape != value.shape or face.ndim != 1:
+        raise ValueError(f"{file}: face has shape {face.shape}, expected that of the values, {value.shape}")
+    wrong = np.flatnonzero((face != np.floor(face)) | (face < 0) | (face >= count))
+    if wrong.size:
+        raise ValueError(f"{file}: face {face[wrong[0]]:g} at [{wrong[0]}], expected integers 0 to {count - 1}")
+    times = np.bincount(face.astype(np.int64), minlength=count)
+    if (times != 1).any():
+        first = int(np.flatnonzero(times != 1)[0])
+        raise ValueError(f"{file}: face {first} has {times[first]} values, expected one for each of {count} faces")
+    sorted_value = np.empty(count)
+    sorted_value[face.astype(np.int64)] = value
+    return sorted_value
+
+
+def _from_csv(file: Path, count: int, column: str) -> np.ndarray:
+    rows = _rows(file)
+    first = next(rows, None)
+    if first is None:
+        raise ValueError(f"{file}: holds no values, expected {count}, one per face")
+    header = [cell.strip() for cell in first[1]]
+    if len(header) == 1 and _is_number(header[0]):
+        header, rows = [column], itertools.chain([first], rows)
+    if column not in header:
+        raise ValueError(f"{file}:{first[0]}: got columns {', '.join(header)}, expected {column}")
+    faces: list[float] = []
+    values: list[float] = []
+    for line, cells in rows:
+        if len(cells) != len(header):
+            raise ValueError(f"{file}:{line}: got {len(cells)} columns, expected {len(header)}")
+        if len(values) == count:
+            raise ValueError(f"{file}:{line}: got more than {count} values, expected one per face")
+        values.append(_number(file, line, cells[header.index(column)]))
+        if "face" in header:
+            faces.append(_number(file, line, cells[header.index("face")]))
+    if len(values) != count:
+        raise ValueError(f"{file}: got {len(values)} values, expected {count}, one per face")
+    return _by_face(file, np.array(faces), np.array(values), count) if faces else np.array(values)
+
+
+def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of every line that is neither empty nor a comment."""
+    if not file.is_file():
+        raise ValueError(f"{file}: no such file")
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as stream:
+            for line, cells in enumerate(csv.reader(stream), 1):
+                if "".join(cells).strip() and not cells[0].lstrip().startswith("#"):
+                    yield line, cells
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{file}: not readable as CSV ({error})") from error
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _number(file: Path, line: int, text: str) -> float:
+    if not _is_number(text) or not np.isfinite(float(text)):
+        raise ValueError(f"{file}:{line}: got {text.strip()!r}, expected a finite number")
+    return float(text)

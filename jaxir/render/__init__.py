@@ -1,0 +1,8 @@
+"""Entries: radiance image with standard error, radiant intensity, signature over aspects."""
+
+from jaxir.render.faces import unoccluded_intensity as unoccluded_intensity
+from jaxir.render.image import Image as Image
+from jaxir.render.image import Outcome as Outcome
+from jaxir.render.passes import render as render
+from jaxir.render.views import Signature as Signature
+from jaxir.render.views import signature as signature

@@ -1,0 +1,190 @@
+"""An image in chunks of tiles: what bounds memory, whatever the size of the image."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from jaxir._arrays import Check
+from jaxir.geometry.camera import TILE, Camera, stratum_points
+from jaxir.render.image import Image, image_of
+from jaxir.scene.background import AbstractUniformBackground
+from jaxir.scene.scene import Scene
+from jaxir.transport.evaluate import empty_radiance, evaluate, evaluate_orders
+from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
+from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import Radiometry, radiometry
+from jaxir.transport.reflection import Reflection, reflection_of
+from jaxir.transport.scattering import Scattering, scattering_of
+
+TILES_AT_ONCE = 64  # 16384 rays: bounds memory whatever the image
+PARTS = 8  # chunks of a small image, for so many devices to share
+SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
+
+
+class Method(eqx.Module):
+    """How radiance is found where there is a choice.
+
+    Attributes:
+        reflection: how light reflected by the skin is found; None where delta sources alone light it.
+        scattering: how often paths are scattered by particles; None without particles.
+        path: estimator of a gridded plume's radiance along a ray.
+    """
+
+    reflection: Reflection | None
+    scattering: Scattering | None
+    path: AbstractPathEstimator
+
+    def checks(self, scene: Scene) -> list[Check]:
+        """The method suits the scene."""
+        return [] if self.reflection is None else self.reflection.checks(scene)
+
+    def samples(self, scene: Scene) -> int:
+        """Directions recorded for each ray."""
+        at_skin = 1 if self.reflection is None else self.reflection.samples(scene)
+        return at_skin if self.scattering is None else at_skin + self.scattering.orders
+
+
+def method_of(
+    scene: Scene, reflection: Reflection | None, scattering: Scattering | None, path: AbstractPathEstimator
+) -> Method:
+    """What is asked, with `Reflection()` for area sources and `Scattering()` for particles where nothing is."""
+    return Method(reflection_of(scene, reflection), scattering_of(scene, scattering), path)
+
+
+class Estimate(NamedTuple):
+    """Mean radiance in the pixels of tiles and its variance [tile, pixel, band].
+
+    `empty` is what would be seen without the scene; one value [1, 1, band] where the background is uniform. `orders`
+    is what the last two orders of scattering brought [tile, pixel, 2, band]; None without particles.
+    """
+
+    mean: Array
+    variance: Array
+    empty: Array
+    orders: Array | None
+
+
+compiled_radiometry = eqx.filter_jit(radiometry)
+
+
+class Pass(NamedTuple):
+    """One pass over the pixels of an image.
+
+    Attributes:
+        optical: the scene on the nodes.
+        camera: the eye.
+        key: random key.
+        strata: columns and rows of strata in a pixel.
+        method: how radiance is found.
+        parts: chunks into which a small image is cut all the same.
+    """
+
+    optical: Radiometry
+    camera: Camera
+    key: Array
+    strata: tuple[int, int]
+    method: Method
+    parts: int = PARTS
+
+    @property
+    def size(self) -> int:
+        """Tiles of a chunk: fewer where a ray carries many samples, and in images of less than `parts` full chunks."""
+        each = -(-self.method.samples(self.optical.scene) // SAMPLES_AT_ONCE)
+        return min(max(TILES_AT_ONCE // each, 1), -(-self.tiles // self.parts))
+
+    @property
+    def tiles(self) -> int:
+        """Tiles of the image."""
+        return self.camera.tiles[0] * self.camera.tiles[1]
+
+    def chunks(self) -> Int[Array, " chunk"]:
+        """Numbers of the chunks; the last may run past the image."""
+        return jnp.arange(-(-self.tiles // self.size), dtype=jnp.int32)
+
+
+def whole_image(taken: Pass, parts: Estimate) -> Image:
+    """The image of the estimates of all chunks, stacked."""
+    camera = taken.camera
+    mean, variance = _untile(camera, parts.mean), _untile(camera, parts.variance)
+    empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else _untile(camera, parts.empty)
+    orders = None
+    if parts.orders is not None:
+        orders = _untile(camera, parts.orders.reshape((*parts.orders.shape[:3], -1)))
+        orders = orders.reshape((*orders.shape[:2], 2, -1))
+    samples = 2 * taken.strata[0] * taken.strata[1]
+    return image_of(camera, taken.optical.nodes.names, mean, variance, empty, samples, orders)
+
+
+def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
+    """An image from the values of all chunks."""
+    flat = value.reshape((-1,) + value.shape[2:])
+    return camera.untile(flat[: camera.tiles[0] * camera.tiles[1]])
+
+
+@eqx.filter_jit
+def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
+    """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles."""
+    optical, camera, key, strata, method, _ = taken
+    size, start = taken.size, optical.scene.radius(camera.target)
+    tile = chunk * size + jnp.arange(size, dtype=jnp.int32)
+    background = optical.scene.background
+    uniform = background is None or isinstance(background, AbstractUniformBackground)
+
+    def sample(drawn: tuple[Array, Array]) -> _Seen:
+        screen = camera.screen(tile, drawn[0]).reshape(-1, 2)
+        paths = trace(optical.scene, camera.bundle(screen, start), method.reflection, drawn[1], method.scattering)
+        orders = None
+        if paths.scatter is not None and isinstance(method.path, CellSum):
+            parts = evaluate_orders(optical, paths, method.reflection)
+            radiance, orders = parts.radiance, jnp.stack([parts.last, parts.before], axis=1)
+        else:
+            along = None if isinstance(method.path, CellSum) else jax.random.fold_in(drawn[1], 1)
+            radiance = evaluate(optical, paths, method.reflection, method.path, along)
+        empty = None if uniform else empty_radiance(optical, paths.rays.direction)
+        return jax.tree.map(
+            lambda value: optical.nodes.in_band(value).reshape((size, TILE * TILE, *value.shape[1:-1], -1)),
+            _Seen(radiance, empty, orders),
+        )
+
+    def stratum(carry: tuple[_Seen, Array], index: Array) -> tuple[tuple[_Seen, Array], None]:
+        own = jax.random.fold_in(key, chunk)
+        offset = stratum_points(own, index, size, strata)
+        anew = jax.random.fold_in(jax.random.fold_in(own, index), 1)
+        pair = lax.map(sample, (offset, jax.random.split(anew, 2)))
+        total, square = carry
+        total = jax.tree.map(lambda sum, two: sum + (two[0] + two[1]) / 2, total, pair)
+        return (total, square + (pair.radiance[0] - pair.radiance[1]) ** 2 / 4), None
+
+    count, bands = strata[0] * strata[1], optical.nodes.response.shape[0]
+    zero = jnp.zeros((size, TILE * TILE, bands), start.dtype)
+    orders = None if method.scattering is None else jnp.zeros((size, TILE * TILE, 2, bands), start.dtype)
+    dark = _Seen(zero, None if uniform else zero, orders)
+    (total, square), _ = lax.scan(stratum, (dark, zero), jnp.arange(count, dtype=jnp.int32))
+    mean = jax.tree.map(lambda sum: sum / count, total)
+    empty = optical.nodes.in_band(empty_radiance(optical, camera.frame[:1, None])) if uniform else mean.empty
+    return Estimate(mean.radiance, square / count**2, empty, mean.orders)
+
+
+class _Seen(NamedTuple):
+    """What rays see [ray, node] or pixels [tile, pixel, band]: the scene, the same without it, two orders of it."""
+
+    radiance: Array
+    empty: Array | None
+    orders: Array | None
+
+
+def eye_outside(scene: Scene, camera: Camera) -> Check:
+    """Rays start on the scene's bounding sphere, so the eye must be beyond it."""
+    reach = scene.radius(camera.target) * camera.inverse_range
+    return Check(
+        "Camera: (radius of the scene about the target) / distance",
+        reach,
+        reach < 1,
+        "less than 1: an eye outside the scene's bounding sphere",
+    )

@@ -1,0 +1,101 @@
+"""A radiance image, in one pass or in as many as a tolerance asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+from jax.sharding import Mesh
+from jaxtyping import Array, Key
+
+from jaxir._arrays import enforce
+from jaxir.geometry.camera import Camera, pixel_strata
+from jaxir.optics.band import Band, Nodes, as_nodes
+from jaxir.render.chunks import PARTS, Pass, compiled_radiometry, estimate_chunk, eye_outside, method_of, whole_image
+from jaxir.render.devices import is_traced, over_items, shared_by
+from jaxir.render.image import Image, Outcome, joined, meets
+from jaxir.scene.scene import Scene
+from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
+from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
+
+
+def render(
+    scene: Scene,
+    camera: Camera,
+    bands: Nodes | Band | Sequence[Band],
+    *,
+    samples: int = 8,
+    key: Key[Array, ""] | None = None,
+    reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
+    rtol: float | None = None,
+    max_samples: int = 4096,
+    path: AbstractPathEstimator = CellSum(),  # noqa: B008
+    devices: Mesh | None = None,
+) -> Image:
+    """Radiance image of a scene.
+
+    Every pixel is cut into samples / 2 strata and each stratum gets two random points, so that half their squared
+    difference is an unbiased estimate of its variance:
+
+        L = mean_k (a_k + b_k) / 2,      se^2 = sum_k (a_k - b_k)^2 / 4 / strata^2.
+
+    Everything along a ray is exact, so a pixel that sees a uniform field has a standard error of 0. The variance over
+    strata of a smooth field falls as samples^-2, across a silhouette as samples^-3/2. Light from area sources and
+    bounces is sampled anew, independently, at every point, so the standard error counts it.
+
+    Args:
+        scene: the scene.
+        camera: the eye.
+        bands: bands (one gray node each) or spectral nodes.
+        samples: rays per pixel; even.
+        key: random key; a fixed one by default, so results repeat.
+        reflection: how light from lights with an extent, from the background and from the skin itself is found; see
+            `jaxir.trace`. By default delta sources alone light the skin, and `Reflection()` serves area sources.
+        scattering: how often paths are scattered by particles; by default `Scattering()` where there are any.
+        rtol: keep adding passes of `samples` until the standard error of the radiant intensity of every band is at
+            most rtol times the intensity; None takes one pass. `Image.outcome` says whether it was met.
+        max_samples: rays per pixel at which to give up.
+        path: estimator of a gridded plume's radiance along a ray; the exact sum over cells unless asked otherwise.
+        devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
+            `jax.distributed.initialize`, in many; every process gets the whole image. The numbers are those of one
+            device; for more than `PARTS` = 8 devices and fewer than 8 full chunks they are drawn anew.
+
+    Returns:
+        The image. Memory beyond it is bounded by `TILES_AT_ONCE` tiles of 256 rays.
+
+    Raises:
+        ValueError: wrong shapes, values out of range, an eye inside the scene, `rtol` inside jit.
+
+    Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
+    geometry is seen as fixed.
+    """
+    nodes = as_nodes(bands)
+    strata = pixel_strata(samples)
+    key = jax.random.key(0) if key is None else key
+    method = method_of(scene, reflection, scattering, path)
+    nodes = enforce(nodes, [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)])
+    parts = PARTS if devices is None else max(PARTS, devices.size)
+    first = Pass(compiled_radiometry(scene, nodes), camera, key, strata, method, parts)
+    mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
+
+    def take(own: Array) -> Image:
+        taken = first._replace(key=own)
+        return whole_image(taken, over_items(estimate_chunk, taken, taken.chunks(), "render", mesh))
+
+    if rtol is None:
+        return take(key)
+    if is_traced(first):
+        raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
+    if not rtol > 0 or max_samples < samples:
+        raise ValueError(
+            f"rtol, max_samples: got {rtol}, {max_samples}, expected rtol > 0 and max_samples >= samples = {samples}"
+        )
+    image, passes = take(key), 1
+    while not meets(image, rtol) and (passes + 1) * samples <= max_samples:
+        image = joined(image, passes, take(jax.random.fold_in(key, passes)), samples)
+        passes += 1
+    outcome = Outcome.tolerance_met if meets(image, rtol) else Outcome.samples_spent
+    return eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))

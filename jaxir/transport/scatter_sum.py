@@ -1,0 +1,98 @@
+"""Radiance along paths through a plume with particles.
+
+With b_k the throughput of leg k (b_0 = 1), A_k what leg k brings without further scattering (emission, beams scattered
+once, what the skin at its end sends, or the background), and T the transmittance up to where the path goes on,
+
+    L = sum_k b_k A_k,    b_(k+1) = b_k T (scattering phase / (pdf_length pdf), or brdf cos / (pdf chance)).
+
+Densities are those of the trace; scattering, T, phase and brdf carry the derivatives.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxir._vector import dot
+from jaxir.scene.near_source import AbstractAreaSource
+from jaxir.transport.leaving import beyond, leaving, reflected
+from jaxir.transport.medium import GridMedium
+from jaxir.transport.radiometry import Radiometry, background_radiance, cell_lights, plume_transmittance
+from jaxir.transport.reflection import Reflection
+from jaxir.transport.scatter_trace import ScatterPath, vertex_lights
+
+
+class Orders(NamedTuple):
+    """Radiance of paths [ray, node], and the parts of it scattered as often as may be, and once less."""
+
+    radiance: Float[Array, "ray node"]
+    last: Float[Array, "ray node"]
+    before: Float[Array, "ray node"]
+
+
+def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection | None) -> Orders:
+    """Radiance along paths of `follow`, before the air. Differentiable in every radiometric leaf of the scene."""
+    medium = optical.medium
+    assert medium is not None and medium.phase is not None
+    phase = medium.phase
+    count = path.length.shape[0]
+
+    def step(state: tuple[Orders, Array], link: tuple[ScatterPath, Array]) -> tuple[tuple[Orders, Array], None]:
+        (sums, through), (leg, final) = state, link
+        brought = medium.leg(leg.rays, leg.length, _at_end(optical, leg, reflection, final))
+        for source, irradiance in zip(cell_lights(optical.scene), optical.irradiance, strict=True):
+            assert isinstance(medium, GridMedium)
+            cosine = jnp.sum(leg.rays.direction * -source.direction[None], axis=-1)
+            brought = brought + medium.in_scattered(irradiance, cosine, leg.rays, leg.length)
+        scattered = leg.place.factor > 0
+        reach = jnp.where(scattered, leg.place.t, jnp.where(leg.factor > 0, leg.length, 0))
+        passed = medium.transmittance(leg.rays, reach)
+        point = leg.rays.at(leg.place.t)
+        event = jnp.where(scattered[:, None], medium.scattering_at(point) * passed * leg.place.factor[:, None], 0)
+        if leg.beams is not None:
+            brought = brought + event * _arriving(optical, leg, point)
+        cosine = jnp.sum(leg.rays.direction * leg.omega, axis=-1)
+        onward = event * jax.vmap(phase.eval)(cosine) * leg.factor[:, None]
+        if leg.vertex is not None and reflection is not None and reflection.bounces:
+            bounced = passed * reflected(optical, leg.vertex, leg.omega, jnp.where(scattered, 0, leg.factor))
+            onward = jnp.where(scattered[:, None], onward, bounced)
+        part = through * brought
+        last, before = (jnp.where((leg.events == path.orders - less)[:, None], part, 0) for less in (0, 1))
+        return (Orders(sums.radiance + part, sums.last + last, sums.before + before), through * onward), None
+
+    first = jax.tree.map(lambda leaf: leaf[0], path.rays)
+    dark = jnp.zeros((first.count, optical.nodes.count), first.origin.dtype)
+    final = jnp.arange(count, dtype=jnp.int32) == count - 1
+    return lax.scan(step, (Orders(dark, dark, dark), jnp.ones_like(dark)), (path, final))[0][0]
+
+
+def _at_end(optical: Radiometry, leg: ScatterPath, reflection: Reflection | None, final: Array) -> Array:
+    """What enters the legs at their far ends [ray, node]: what leaves the skin, or the background."""
+    leaves = leg.open & jnp.isinf(leg.length)
+    behind = jnp.where(leaves[:, None], background_radiance(optical, leg.rays.direction), 0)
+    if leg.vertex is None:
+        return behind
+    skin = leaving(optical, leg.vertex, leg.around, reflection)
+    if reflection is not None and reflection.beyond is not None:
+        skin = skin + jnp.where(final, beyond(optical, leg.vertex, reflection), 0)
+    return jnp.where((leg.vertex.face >= 0)[:, None], skin, behind)
+
+
+def _arriving(optical: Radiometry, leg: ScatterPath, point: Array) -> Array:
+    """Sum over lights of phase(cosine) * light that reaches where paths are scattered [ray, node]."""
+    assert leg.beams is not None and optical.medium is not None and optical.medium.phase is not None
+    phase, total = optical.medium.phase, jnp.zeros((point.shape[0], optical.nodes.count), point.dtype)
+    for place, source in enumerate(vertex_lights(optical.scene)):
+        omega, factor = leg.beams.omega[place], leg.beams.factor[place]
+        if isinstance(source, AbstractAreaSource):
+            light = jnp.broadcast_to(source.emitted(optical.nodes)[None], total.shape)
+        else:
+            light = jax.vmap(lambda p, source=source: source.beam(optical.nodes, p))(point)
+        spread = jax.vmap(lambda w, d: phase.eval(dot(w, d)))(omega, leg.rays.direction)
+        dimmed = plume_transmittance(optical, point, omega, jnp.where(factor > 0, leg.beams.distance[place], 0))
+        total = total + jnp.where((factor > 0)[:, None], spread * light * dimmed * factor[:, None], 0)
+    return total

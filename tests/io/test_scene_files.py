@@ -1,0 +1,232 @@
+"""A scene file says what the Python objects say; whatever is wrong with it is one line with file, key and cure."""
+
+import inspect
+
+import jax
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir.io import vocabulary
+from jaxir.io.cfd import load_flow
+from jaxir.io.entries import Entry
+from jaxir.io.meshes import load_mesh
+from jaxir.io.scene_files import load_scene
+from jaxir.io.vocabulary import combustion_gas
+from tests.io.scene_text import TEXT, write_npz, write_obj, write_scene
+
+PARTS = """
+bands = ["MWIR"]
+[skin]
+mesh = { path = "body.obj", unit = "mm" }
+temperature = 300
+brdf = { type = "Lambert", emissivity = 0.8 }
+[[skin.parts]]
+name = "wing"
+temperature = { path = "wing.csv" }
+[[skin.parts]]
+name = "tail"
+brdf = { type = "Lambert", emissivity = [[0.3]] }
+[[skin.parts]]
+name = "nozzle"
+faces = [0]
+brdf = { type = "RoughConductor", index = 3, extinction = 8, roughness = 0.3 }
+"""
+
+
+def test_a_file_makes_the_scene_that_python_makes(tmp_path):
+    read = load_scene(write_scene(tmp_path))
+    vertices = [[0, -0.5, -0.5], [0, 0.5, -0.5], [0, 0.5, 0.5], [0, -0.5, 0.5]]
+    scene = jaxir.Scene(
+        skin=jaxir.Skin(jaxir.Mesh(vertices, [[0, 1, 2], [0, 2, 3]]), 300.0, jaxir.Lambert(0.8)),
+        sources=(jaxir.ParallelSource((-1, 0, 0), (2.0, 0.1)),),
+        background=jaxir.BlackbodyBackground(250),
+        atmosphere=jaxir.FixedPath(0.5, 0.1),
+    )
+    assert jax.tree.structure(read.scene) == jax.tree.structure(scene)
+    for held, wanted in zip(jax.tree.leaves(read.scene), jax.tree.leaves(scene), strict=True):
+        np.testing.assert_array_equal(held, wanted)
+    camera = jaxir.orthographic_camera(0, 0, 0.125, (16, 16))
+    np.testing.assert_array_equal(read.cameras[""].frame, camera.frame)
+    assert read.bands.names == ("MWIR", "LWIR") and read.render == {"samples": 2}
+    assert read.signature["views"].shape == (10, 2) and read.signature["shape"] == (16, 16)
+    assert "skin: 2 faces, 0 x 1 x 1 m, not closed" in read.describe()
+
+
+def test_parts_have_materials_and_temperatures_of_their_own(tmp_path):
+    write_obj(tmp_path / "body.obj", ("wing", "tail", "wing 2"))
+    (tmp_path / "wing.csv").write_text("face,temperature\n1,420\n0,410\n")
+    skin = load_scene(write_scene(tmp_path, PARTS)).scene.skin
+    assert skin.part_names == ("wing", "tail", "wing 2", "nozzle")
+    np.testing.assert_array_equal(skin.part, [3, 0, 1, 1, 2, 2])
+    np.testing.assert_array_equal(skin.temperature, [410, 420, 300, 300, 300, 300])
+    np.testing.assert_allclose(skin.mesh.vertices[4], [-1e-3, -0.5e-3, -0.5e-3], rtol=1e-6)
+    # the two kinds of Lambert skin became one with an emissivity per face
+    assert [type(kind) for kind in skin.brdf.kinds] == [jaxir.Lambert, jaxir.RoughConductor]
+    lambert = skin.brdf.kinds[0]
+    np.testing.assert_allclose(lambert.hemispherical_emissivity[1:, 0], [0.8, 0.3, 0.3, 0.8, 0.8], rtol=1e-6)
+
+
+def test_every_reader_is_of_a_parameter_that_exists():
+    """A misspelt reader would never be used, and its values be read as numbers."""
+    skip = ("READERS", "RENDER_READERS")
+    tables = {n: v for n, v in vars(vocabulary).items() if n.isupper() and isinstance(v, dict) and n not in skip}
+    made = [one for table in tables.values() for one in table.values() if callable(one)]
+    made += [jaxir.render, jaxir.signature, jaxir.Reflection, jaxir.AmbientTerm, jaxir.resolved_nodes, jaxir.Grid]
+    made += [jaxir.Skin, jaxir.sensor_band, jaxir.JetPlume, load_mesh, load_flow]
+    names = {name for one in made for name in inspect.signature(one).parameters}
+    assert set(vocabulary.RENDER_READERS) <= names
+
+
+JET = """
+[plume]
+type = "JetPlume"
+nozzle = [-1, 0, 0]
+axis = [-1, 0, 0]
+diameter = 0.5
+exit_temperature = 1000
+ambient_temperature = 250
+gas = { type = "combustion_gas", pressure = 26500, carbon = 12, hydrogen = 23, equivalence_ratio = 0.4 }
+"""
+GRID = """
+[plume]
+type = "GridPlume"
+grid = { origin = [-3, -0.5, -0.5], spacing = [0.5, 0.5, 0.5], shape = [2, 2, 2] }
+temperature = { path = "flow.npz", array = "T" }
+gas = { type = "GrayGas", coefficient = { path = "flow.npz", array = "kappa" } }
+"""
+
+
+def test_plumes_from_parameters_and_from_arrays(tmp_path):
+    jet = load_scene(write_scene(tmp_path, TEXT + JET)).scene.plume
+    same = combustion_gas(26500, 12, 23, 0.4)
+    assert jet.panels == 4
+    np.testing.assert_allclose(jax.tree.leaves(jet.gas), jax.tree.leaves(same), rtol=1e-6)
+    field = np.arange(8.0).reshape(2, 2, 2)
+    write_npz(tmp_path / "flow.npz", T=500 + field, kappa=field)
+    grid = load_scene(write_scene(tmp_path, TEXT + GRID)).scene.plume
+    np.testing.assert_allclose(grid.temperature, 500 + field)
+    np.testing.assert_allclose(grid.gas.coefficient, field[..., None])
+
+
+def test_a_plume_from_a_flow_field(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    data = pyvista.ImageData(dimensions=(3, 3, 3), spacing=(0.5, 0.5, 0.5))
+    data.cell_data["T"] = np.linspace(400, 800, 8)
+    data.save(tmp_path / "flow.vti")
+    flow = """
+[plume]
+type = "GridPlume"
+flow = { path = "flow.vti", unit = "m", shape = [2, 2, 2], fields = { T = 300.0 } }
+temperature = { field = "T" }
+gas = { type = "GrayGas", coefficient = 0.5 }
+"""
+    read = load_scene(write_scene(tmp_path, TEXT + flow))
+    assert sorted(np.unique(read.scene.plume.temperature)) == pytest.approx(np.linspace(400, 800, 8))
+    assert any("plume.flow: T: rms" in note for note in read.notes)
+    wrong = flow.replace('field = "T"', 'field = "TT"')
+    with pytest.raises(ValueError, match=r"plume.temperature.field: got .TT., expected one of T \(did you mean T\?\)"):
+        load_scene(write_scene(tmp_path, TEXT + wrong))
+
+
+def _but(old, new):
+    assert old in TEXT
+    return TEXT.replace(old, new, 1)
+
+
+HUGE = "shape = [100000, 100000]"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("bands = [\n", r"scene.toml: not readable as TOML \(.*at end of document|line"),
+        (TEXT[: TEXT.index("[atmosphere]") + 30], "scene.toml: not readable as TOML"),
+        ("", "scene.toml: got no key bands"),
+        ('bands = ["MWIR"]', "scene.toml: Scene: got neither skin nor plume"),
+        (
+            TEXT + "[atmosfere]\n",
+            r"scene.toml: atmosfere: unknown key, expected one of .*\(did you mean atmosphere\?\)",
+        ),
+        (
+            _but("emissivity", "emisivity"),
+            r"skin.brdf.emisivity: unknown key, expected .*\(did you mean emissivity\?\)",
+        ),
+        (_but('"Lambert"', '"Lambertian"'), r"skin.brdf.type: got 'Lambertian', .*\(did you mean Lambert\?\)"),
+        (_but('type = "Lambert", ', ""), "skin.brdf: got no key type, expected one of Lambert, Sand"),
+        (_but("temperature = 300.0", ""), "skin: got no temperature for face 0, of part 'skin'"),
+        (_but("temperature = 300.0", "temperature = nan"), "skin.temperature: got nan, expected a finite number"),
+        (_but("temperature = 300.0", "temperature = '300 K'"), "skin.temperature: got '300 K', expected a finite num"),
+        (_but("temperature = 300.0", "temperature = -20"), "skin.temperature: got -20, expected temperatures > 0 K"),
+        (
+            _but("temperature = 300.0", "temperature = [300, 301, 302]"),
+            r"skin.temperature: .* expected one number or 2",
+        ),
+        (
+            _but("temperature = 300.0", "temperature = { path = 'no.csv' }"),
+            "temperature.path: got 'no.csv', expected a f",
+        ),
+        (_but("= 0.8", "= 1.8"), r"scene.toml: skin.brdf: Lambert.emissivity: got 1.79.*expected values in \[0, 1\]"),
+        (_but("[2.0, 0.1]", "[2.0, true]"), r"sources\[0\].irradiance\[1\]: got True, expected a finite number"),
+        (_but("[2.0, 0.1]", "[2.0, [0.1]]"), r"sources\[0\].irradiance\[1\]: got \[0.1\], expected as many numbers"),
+        (_but("[-1, 0, 0]", "[-1, 0]"), r"sources\[0\]: ParallelSource.direction: got shape \(2,\), expected \(3,\)"),
+        (_but("[-1, 0, 0]", "[-2, 0, 0]"), r"sources\[0\]: ParallelSource.direction: .*length 1"),
+        (_but("[[sources]]", "[sources]"), r"sources: got \{.*expected an array"),
+        (_but("[[0, 1, 2], [0, 2, 3]]", "[[0, 1, 2], [0, 2, 9]]"), "skin.mesh: Mesh.faces: got indices 0 to 9"),
+        (_but("shape = [16, 16]", HUGE), r"camera.shape: got \[100000, 100000\], expected integers >= 1 whose product"),
+        (_but("shape = [16, 16]", "shape = [16.0, 16]"), r"camera.shape\[0\]: got 16.0, expected an integer"),
+        (_but("azimuth = 0", ""), "camera: got no key azimuth, which it needs"),
+        (_but("samples = 2", "sample = 2"), r"render.sample: unknown key, expected .*\(did you mean samples\?\)"),
+        (_but("step = 90", "step = 0"), "signature.views.azimuth: got .* expected start <= stop and step > 0"),
+        (_but('"LWIR"]', '"LWIR", { name = "x", lower = 4.0, upper = 3.0 }]'), r"bands\[2\]: Band 'x': got edges 4.0"),
+        (_but('"LWIR"]', '"lwir"]'), r"bands\[1\]: got 'lwir', expected one of SWIR, MWIR, LWIR \(did"),
+        (_but("temperature = 250", "temperature = 0"), "background: BlackbodyBackground.temperature: got 0.0"),
+        (TEXT + JET.replace("12", "-12"), "plume.gas: carbon, hydrogen: got -12"),
+        (TEXT + JET + "[resolve_jet]\ntolerence = 1", r"resolve_jet.tolerence: unknown key, .*mean tolerance"),
+        (TEXT + "[resolve_jet]\ntolerance = 1", "resolve_jet: .* expected it only beside a plume of type JetPlume"),
+        (TEXT + "[reflection]\nbounces = -1", "reflection: Reflection.bounces: got -1, expected an integer >= 0"),
+        (TEXT + GRID, "plume.temperature.path: got 'flow.npz', expected a file: there is no"),
+        (TEXT + "[[skin.parts]]\nname = 'wing'", "scene.toml: "),
+        (PARTS, "skin.mesh.path: got 'body.obj', expected a file"),
+    ],
+)
+def test_what_is_wrong_is_named_with_file_key_and_cure(text, message, tmp_path):
+    with pytest.raises(ValueError, match=message) as caught:
+        load_scene(write_scene(tmp_path, text))
+    assert str(caught.value).startswith(str(tmp_path / "scene.toml")) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('unit = "mm"', 'unit = "furlong"'), "skin.mesh.unit: got 'furlong', expected one of m, cm"),
+        (('name = "wing"', 'name = "wng"'), r"skin.parts\[0\].name: got 'wng', expected .*\(did you mean wing\?\)"),
+        (('name = "nozzle"', 'name = "tail"'), r"skin.parts\[2\].name: got 'tail', expected a new name"),
+        (("faces = [0]", "faces = [6]"), r"skin.parts\[2\].faces: got \[6\], expected faces 0 to 5"),
+        (("[[0.3]]", "[0.3, 0.4]"), r"skin.parts\[1\].brdf: .* expected parameters of one face"),
+    ],
+)
+def test_wrong_parts_are_named(change, message, tmp_path):
+    write_obj(tmp_path / "body.obj", ("wing", "tail", "wing 2"))
+    (tmp_path / "wing.csv").write_text("410\n420\n")
+    assert change[0] in PARTS
+    with pytest.raises(ValueError, match=message):
+        load_scene(write_scene(tmp_path, PARTS.replace(*change)))
+
+
+def test_a_file_that_is_no_text_or_too_large(tmp_path, monkeypatch):
+    path = tmp_path / "scene.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="scene.toml: not readable as TOML"):
+        load_scene(path)
+    monkeypatch.setattr("jaxir.io.entries.LARGEST_FILE", 2)
+    with pytest.raises(ValueError, match="scene.toml: got 3 bytes, expected a scene file of at most 2"):
+        load_scene(path)
+    with pytest.raises(ValueError, match="none.toml: no such file"):
+        load_scene(tmp_path / "none.toml")
+
+
+def test_an_error_names_the_file_once(tmp_path):
+    entry = Entry(tmp_path / "a.toml", "plume.gas", {})
+    once = entry.failed(ValueError("one\n  two"))
+    assert str(once) == f"{tmp_path / 'a.toml'}: plume.gas: one two" and str(entry.failed(once)) == str(once)

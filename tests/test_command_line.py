@@ -1,0 +1,231 @@
+"""The command line: files written whole and labelled, one line and a status for whatever is wrong."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+import jaxir
+from jaxir.command_line import main
+from tests.io.scene_text import TEXT, write_obj, write_scene
+from tests.scenes import box_mesh
+
+EXAMPLES = Path(jaxir.__file__).parents[1] / "examples"
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """Outputs of one scene in every quantity and format."""
+    folder = tmp_path_factory.mktemp("out")
+    scene = str(write_scene(folder))
+    quantities = ["-q", "apparent", "-q", "contrast", "-q", "source"]
+    files = [word for suffix in (".npz", ".tif", ".nc", ".png") for word in ("-o", str(folder / f"image{suffix}"))]
+    assert main(["render", scene, *quantities, *files]) == 0
+    table = ["-o", str(folder / "table.csv"), "-o", str(folder / "table.txt"), "-o", str(folder / "table.png")]
+    assert main(["signature", scene, "-q", "source", *table, "-o", str(folder / "table.nc")]) == 0
+    return folder
+
+
+def test_the_three_quantities_are_labelled_and_differ_as_they_should(rendered):
+    held = {q: np.load(rendered / f"image_{q}.npz") for q in ("apparent", "contrast", "source")}
+    for quantity, file in held.items():
+        conditions = json.loads(str(file["conditions"]))
+        assert conditions["quantity"].startswith(f"{quantity}: ") and conditions["scene"] == "scene.toml"
+    intensity = {q: ((f["radiance"] - f["empty"]) * f["pixel"].prod()).sum((0, 1)) for q, f in held.items()}
+    np.testing.assert_allclose(intensity["apparent"], 0.5 * intensity["contrast"], rtol=1e-5)
+    behind = held["contrast"]["empty"][0, 0]  # the background, of which the plate hides 1 m2
+    np.testing.assert_allclose(intensity["source"], intensity["contrast"] + behind, rtol=1e-5)
+    skin = 0.8 * np.asarray(jaxir.band_radiance(jnp.asarray(300.0), jaxir.gray_nodes((jaxir.MWIR, jaxir.LWIR))))
+    np.testing.assert_allclose(intensity["source"], skin + 0.2 / np.pi * np.array([2.0, 0.1]), rtol=1e-5)
+
+
+def test_netcdf_has_units_and_conditions(rendered):
+    xarray = pytest.importorskip("xarray")
+    with xarray.open_dataset(rendered / "image_apparent.nc", engine="scipy") as data:
+        assert data.radiance.attrs["units"] == "W m-2 sr-1" and list(data.band.values) == ["MWIR", "LWIR"]
+        np.testing.assert_array_equal(data.radiance, np.load(rendered / "image_apparent.npz")["radiance"])
+        assert data.attrs["quantity"].startswith("apparent") and data.x.attrs["units"] == "m"
+        assert float(data.x[0]) == -0.9375 and float(data.y[0]) == 0.9375
+    with xarray.open_dataset(rendered / "table.nc", engine="scipy") as data:
+        assert data.intensity.attrs["units"] == "W sr-1" and data.intensity.shape == (10, 2)
+
+
+def test_tiff_and_pictures_are_there(rendered):
+    tifffile = pytest.importorskip("tifffile")
+    with tifffile.TiffFile(rendered / "image_source.tif") as held:
+        assert held.pages[1].description.startswith("LWIR radiance, W m-2 sr-1; scene: scene.toml; quantity: source")
+    for name in ("image_apparent.png", "table.png"):
+        assert (rendered / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert not [path for path in rendered.iterdir() if path.name.startswith(".")]
+
+
+def test_afsim_s_table_is_that_of_the_source_with_azimuth_to_the_right(rendered):
+    lines = (rendered / "table.txt").read_text().splitlines()
+    assert lines[0] == "# scene: scene.toml" and lines[-1] == "end_infrared_signature"
+    words = " ".join(line for line in lines if not line.startswith("#")).split()
+    assert words[:5] == ["infrared_signature", "table", "state", "default", "band"]
+    start = words.index("inline_table")
+    assert words[start - 1] == "medium" and words[start + 1 : start + 4] == ["w/sr", "5", "2"]
+    rows = np.array([float(w) for w in words[start + 6 : start + 6 + 15]]).reshape(5, 3)
+    np.testing.assert_array_equal(rows[:, 0], [-180, -90, 0, 90, 180])
+    table = np.loadtxt(rendered / "table.csv", delimiter=",", comments=("#", "azimuth"))
+    for azimuth, elevation, mwir in table[:, :3]:
+        row, column = rows[rows[:, 0] == -azimuth][0], 1 if elevation < 0 else 2
+        np.testing.assert_allclose(row[column], mwir, rtol=1e-6)
+
+
+def test_a_table_that_is_not_full_or_not_of_the_source_is_refused(tmp_path, capsys):
+    scene = str(write_scene(tmp_path))
+    assert main(["signature", scene, "-o", str(tmp_path / "a.txt")]) == 1
+    assert "an AFSIM table holds the source, expected --quantity source" in capsys.readouterr().err
+
+
+def test_show_says_what_a_scene_holds_and_draws_it(tmp_path, capsys):
+    assert main(["show", str(EXAMPLES / "aircraft.toml"), "-o", str(tmp_path / "setup.png")]) == 0
+    said = capsys.readouterr().out
+    assert "skin: 1328 faces, 15.67 x 10.72 x 2.19 m, closed" in said and "part nozzle: 112 faces, 700" in said
+    assert "bands: MWIR, LWIR on 101 nodes" in said and (tmp_path / "setup.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("name", ["box.toml", "plate.toml"])
+def test_the_examples_are_scenes(name, capsys):
+    assert main(["show", str(EXAMPLES / name)]) == 0
+    assert "camera" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["render", "none.toml"], "none.toml: no such file"),
+        (["render", "scene.toml", "-o", "image.jpg"], "image.jpg: expected a file name that ends in .npz or .tif"),
+        (["render", "scene.toml", "-o", "no/image.npz"], "no/image.npz: the folder no does not exist"),
+        (["render", "bare.toml"], "bare.toml: got no key camera, expected one for render"),
+        (["signature", "bare.toml"], "bare.toml: got no key signature.views"),
+        (["render", "short.toml"], "short.toml: ParallelSource.irradiance: got 3 spectral values, expected 1 or 2"),
+        (["render", "odd.toml"], "odd.toml: samples: got 3, expected an even number"),
+        (["signature", "near.toml"], "near.toml: signature: (radius of the scene) / distance: got"),
+        (["show", "bad.toml"], "bad.toml: skin.brdf.emisivity: unknown key"),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_leaves_no_file(words, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path)
+    write_scene(tmp_path, TEXT[: TEXT.index("[camera]")], "bare.toml")
+    write_scene(tmp_path, TEXT.replace("[2.0, 0.1]", "[2.0, 0.1, 1.0]"), "short.toml")
+    write_scene(tmp_path, TEXT.replace("samples = 2", "samples = 3"), "odd.toml")
+    write_scene(tmp_path, TEXT + "distance = 0.5", "near.toml")
+    write_scene(tmp_path, TEXT.replace("emissivity", "emisivity"), "bad.toml")
+    before = set(tmp_path.iterdir())
+    assert main(words) == 1
+    err = capsys.readouterr().err
+    assert err.startswith(f"jaxir: {message}") and err.count("\n") == 1
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_missing_packages_are_said_before_anything_is_computed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main(["render", "none.toml", "-o", str(tmp_path / "image.nc")]) == 1
+    assert 'needs xarray: pip install "jaxir[netcdf]"' in capsys.readouterr().err
+
+
+def test_the_process_ends_with_a_status_and_without_traceback(tmp_path):
+    scene = write_scene(tmp_path, "bands = [")
+    environment = {**os.environ, "PYTHONPATH": str(EXAMPLES.parent)}
+    ran = subprocess.run(
+        [sys.executable, "-m", "jaxir", "render", str(scene)], capture_output=True, text=True, env=environment
+    )
+    assert ran.returncode == 1 and ran.stderr.count("\n") == 1 and "scene.toml: not readable as TOML" in ran.stderr
+
+
+@pytest.mark.parametrize("command", ["render", "signature", "show"])
+def test_help_names_the_formats(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    said = capsys.readouterr().out
+    assert ended.value.code == 0 and "formats, by the ending of FILE" in said and ".png" in said
+
+
+SCANNED = """
+bands = ["LWIR"]
+[skin]
+mesh = { path = "MESH", unit = "mm" }
+temperature = 300
+brdf = { type = "Lambert", emissivity = 1.0 }
+[camera]
+type = "orthographic_camera"
+azimuth = 0
+elevation = 0
+pixel = 0.25
+shape = [16, 16]
+[render]
+samples = 2
+"""
+
+
+def _in_millimetres(mesh):
+    return trimesh.Trimesh(np.asarray(mesh.vertices) * 1e3, np.asarray(mesh.faces), process=False)
+
+
+def _holey(path):
+    """A scan: a box with a face missing and coincident vertices that are not shared."""
+    box = _in_millimetres(box_mesh((1.0, 2.0, 2.0)))
+    torn = box.triangles[1:]
+    trimesh.Trimesh(torn.reshape(-1, 3), np.arange(torn.size // 3).reshape(-1, 3), process=False).export(path)
+
+
+def _bodies(path):
+    """Two boxes side by side in one nameless file."""
+    boxes = [_in_millimetres(box_mesh((1.0, 1.0, 1.0), (0.0, y, 0.0))) for y in (-1.0, 1.0)]
+    trimesh.util.concatenate(boxes).export(path)
+
+
+def _degenerate(path):
+    """A box, one face of it twice and two faces without area."""
+    box = _in_millimetres(box_mesh((1.0, 2.0, 2.0)))
+    faces = np.concatenate([box.faces, box.faces[:1], [[0, 1, 1], [2, 2, 2]]])
+    trimesh.Trimesh(box.vertices, faces, process=False).export(path)
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "area"), [(_holey, "scan.stl", 4.0), (_bodies, "two.stl", 2.0), (_degenerate, "messy.ply", 4.0)]
+)
+def test_meshes_as_they_come(make, name, area, tmp_path, capsys, monkeypatch):
+    """Not watertight, several bodies, duplicate and flat faces: a black body's intensity is that of its outline."""
+    monkeypatch.chdir(tmp_path)
+    make(tmp_path / name)
+    text = SCANNED.replace("MESH", name)
+    text = text.replace('{ path = "two', '{ type = "split_bodies", path = "two')
+    if make is _bodies:
+        text = text.replace("[camera]", '[[skin.parts]]\nname = "body_1"\ntemperature = 300\n[camera]')
+    assert main(["render", str(write_scene(tmp_path, text))]) == 0
+    said = capsys.readouterr()
+    with np.load(tmp_path / "scene.npz") as held:
+        intensity = held["radiance"].sum() * held["pixel"].prod()
+    want = area * float(jaxir.band_radiance(jnp.asarray(300.0), jaxir.gray_nodes((jaxir.LWIR,)))[0])
+    assert intensity == pytest.approx(want, rel=1e-5)
+    assert ("2 faces have zero area" in said.err) == (make is _degenerate) and said.err.count("\n") <= 1
+
+
+def test_parts_of_an_obj_file_are_its_objects(tmp_path):
+    from jaxir.io.meshes import load_mesh
+
+    body = load_mesh(write_obj(tmp_path / "b.obj", ("nose", "wing", "nose")), unit="m")
+    assert body.part_names == ("nose", "wing") and body.part.tolist() == [0, 0, 1, 1, 0, 0]
+    (tmp_path / "m.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl a\nf 1/1 2/2 3//3\nusemtl b\nf -1 -3 -2\n"
+    )
+    assert load_mesh(tmp_path / "m.obj", unit="m").part_names == ("a", "b")
+    for line, message in (
+        ("f 1 2 9", "expected vertices 1 to 4"),
+        ("f 1 x 2", "got 'f 1 x 2'"),
+        ("v 0 0", "fewer than th"),
+    ):
+        (tmp_path / "w.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\n" + line)
+        with pytest.raises(ValueError, match=f"w.obj:6: .*{message}"):
+            load_mesh(tmp_path / "w.obj", unit="m")

@@ -1,0 +1,288 @@
+"""Scattering by particles against radiative transfer's closed forms, energy, furnaces, and other ways to the same."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir import Reflection, Scattering
+from jaxir.geometry.ray import Rays
+from jaxir.optics.band import gray_nodes
+from jaxir.transport.evaluate import evaluate
+from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import radiometry
+from tests.scenes import box_mesh
+
+NODES = gray_nodes((jaxir.LWIR,))
+WARM, COLD = 400.0, 3.0
+BLACK = float(jaxir.band_radiance(jnp.asarray(WARM), NODES)[0])
+WIDE = 1e3  # a slab of thickness 1 is infinite to 1e-6: no path of some orders leaves by its sides
+
+
+@eqx.filter_jit
+def look(scene, rays, key, scattering=None, reflection=None):
+    """Radiance of each ray [ray]."""
+    paths = trace(scene, rays, reflection, key, scattering)
+    return evaluate(radiometry(scene, NODES), paths, reflection)[:, 0]
+
+
+def slab(depth, albedo, phase=None, temperature=WARM, cells=6, **parts):
+    """A slab 0 < z < 1 of particles alone, in `cells` layers."""
+    grid = jaxir.Grid((-WIDE / 2, -WIDE / 2, 0.0), (WIDE, WIDE, 1 / cells), (1, 1, cells))
+    particles = jaxir.GrayParticles(depth, albedo, jaxir.Isotropic() if phase is None else phase)
+    return jaxir.Scene(plume=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.0), particles), **parts)
+
+
+def down(cosine, count):
+    """Rays from above at one angle with the normal."""
+    origin = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 2.0]), (count, 3))
+    return Rays(origin, jnp.broadcast_to(jnp.asarray([np.sqrt(1 - cosine**2), 0.0, -cosine]), (count, 3)))
+
+
+def from_above(count, key=7):
+    """Rays whose origin sees the slab with density cos / pi: their mean is the flux over pi."""
+    u = jax.random.uniform(jax.random.key(key), (count, 2))
+    cosine, turn = jnp.sqrt(1 - u[:, 0]), 2 * jnp.pi * u[:, 1]
+    sine = jnp.sqrt(u[:, 0])
+    direction = jnp.stack([sine * jnp.cos(turn), sine * jnp.sin(turn), -cosine], axis=-1)
+    return Rays(jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.001]), (count, 3)), direction)
+
+
+def agrees(values, expected, tolerance, bias=0.0):
+    """The mean is right within 4 standard errors, themselves below a quarter of the tolerance."""
+    values = np.asarray(values, float)
+    error = values.std(ddof=1) / np.sqrt(values.size)
+    assert error < tolerance / 4 * abs(expected), (error, expected)
+    assert abs(values.mean() - expected) < 4 * error + bias * abs(expected), (values.mean(), expected, error)
+
+
+# Isothermal slabs (O9) ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("depth", "albedo", "cosine", "expected"),
+    [
+        (1, 0.5, 1.0, 0.454822),
+        (1, 0.5, 0.5, 0.619961),
+        (1, 0.9, 1.0, 0.140965),
+        (1, 0.9, 0.5, 0.191498),
+        (40, 0.5, 1.0, 0.884774),
+        (40, 0.9, 1.0, 0.585053),
+    ],
+)
+def test_emissivity_of_a_scattering_slab(depth, albedo, cosine, expected):
+    """O9; what is left out beyond order n is below albedo^(n + 1)."""
+    orders = 12 if albedo == 0.5 else 60
+    got = look(slab(depth, albedo), down(cosine, 40_000), jax.random.key(1), Scattering(orders))
+    agrees(np.asarray(got) / BLACK, expected, 0.01, bias=2e-4)
+
+
+def test_hemispherical_emissivity_reflectance_and_transmittance():
+    """O9 for Henyey and Greenstein's phase function: light from one side sent back, let through, and emitted."""
+    phase, count, order = jaxir.HenyeyGreenstein(0.5), 40_000, Scattering(25)
+    emitted = look(slab(1.0, 0.9, phase), from_above(count), jax.random.key(2), order)
+    agrees(np.asarray(emitted) / BLACK, 0.1734992, 0.02)
+    sky = jaxir.ElevationTable([-90.0, -0.001, 0.001, 90.0], [0.0, 0.0, 1.0, 1.0])
+    lit = slab(1.0, 0.9, phase, temperature=COLD, background=sky)
+    agrees(look(lit, from_above(count), jax.random.key(3), order), 0.227953, 0.05)
+    ground = jaxir.ElevationTable([-90.0, -0.001, 0.001, 90.0], [1.0, 1.0, 0.0, 0.0])
+    lit = slab(1.0, 0.9, phase, temperature=COLD, background=ground)
+    agrees(look(lit, from_above(count), jax.random.key(4), order), 0.598548, 0.02)
+
+
+def test_particles_that_absorb_nothing_conserve_energy():
+    """Under an even sky every direction shows it, whatever is scattered how often: R + T = 1."""
+    scene = slab(2.0, 1.0, jaxir.HenyeyGreenstein(0.3), COLD, background=jaxir.UniformBackground(5.0))
+    agrees(look(scene, down(0.7, 4000), jax.random.key(5), Scattering(60)), 5.0, 0.01, bias=1e-4)
+
+
+# Beams and lights -----------------------------------------------------------------------------------------------------
+
+SUN = jaxir.ParallelSource([0.6, 0.0, -0.8], 100.0)
+
+
+def test_sunlight_scattered_once_is_summed_exactly():
+    """Chandrasekhar, Radiative Transfer (1960): E w / (4 pi) mu0 / (mu0 + mu) (1 - exp(-t / mu0 - t / mu)).
+
+    Lighting each cell as its centre is leaves out u0 (u0 + 2 u) / 24, u0 and u its depths towards sun and eye.
+    """
+    depth, albedo, mu, mu0 = 1.3, 0.7, 0.5, 0.8
+    scene = slab(depth, albedo, None, COLD, cells=64, sources=(SUN,))
+    got = look(scene, down(mu, 3), jax.random.key(1), Scattering(0))
+    path = depth / mu + depth / mu0
+    want = 100.0 * albedo / (4 * np.pi) * mu0 / (mu0 + mu) * -np.expm1(-path)
+    own, seen = depth / 64 / mu0, depth / 64 / mu
+    np.testing.assert_allclose(1 - np.asarray(got, float) / want, own * (own + 2 * seen) / 24, rtol=0.03)
+
+
+def test_sunlight_is_conserved():
+    """Particles that absorb nothing: what leaves above, below, and straight through is what falls in."""
+    depth, count = 1.0, 20_000
+    scene = slab(depth, 1.0, jaxir.HenyeyGreenstein(0.4), COLD, cells=16, sources=(SUN,))
+    up = from_above(count)
+    under = Rays(up.origin.at[:, 2].set(-0.001), up.direction * jnp.asarray([[1.0, 1.0, -1.0]]))
+    order = Scattering(40)
+    flux = [np.pi * np.asarray(look(scene, rays, jax.random.key(3), order), float) for rays in (up, under)]
+    direct = 80.0 * np.exp(-depth / 0.8)
+    agrees(flux[0] + flux[1] + direct, 80.0, 0.02, bias=3e-4)
+
+
+def cloud(*, skin=None, sources=(), extinction=0.02, cell=0.02):
+    """One small thin cell of particles about the point (0, 0, .5), cold, and rays through its middle."""
+    grid = jaxir.Grid((-cell / 2, -cell / 2, 0.5 - cell / 2), (cell, cell, cell), (1, 1, 1))
+    particles = jaxir.GrayParticles(extinction, 1.0, jaxir.Isotropic())
+    plume = jaxir.GridPlume(grid, COLD, jaxir.GrayGas(0.0), particles)
+    scene = jaxir.Scene(skin, plume, sources)
+    count = 4096
+    origin = jnp.broadcast_to(jnp.asarray([-3.0, 0.0, 0.5]), (count, 3))
+    rays = Rays(origin, jnp.broadcast_to(jnp.asarray([1.0, 0.0, 0.0]), (count, 3)))
+    return scene, rays, extinction * cell / (4 * np.pi)
+
+
+def plate(temperature):
+    vertices = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
+    mesh = jaxir.Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    return jaxir.Skin(mesh, temperature, jaxir.Lambert(1.0))
+
+
+def test_skin_lights_particles_and_shades_them():
+    """A black unit square .5 below: solid angle 4 asin(1/2), and no sun from underneath."""
+    below = jaxir.ParallelSource([0.0, 0.0, 1.0], 1e6)
+    scene, rays, share = cloud(skin=plate(WARM), sources=(below,))
+    got = np.asarray(look(scene, rays, jax.random.key(4), Scattering(1)), float)
+    agrees(got, share * BLACK * 4 * np.arcsin(0.5), 0.2, bias=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("source", "arriving"),
+    [
+        (jaxir.PointSource([0.0, 0.0, 2.5], 8.0), 2.0),
+        (jaxir.DiscSource([0.0, 0.0, 1.5], [0.0, 0.0, -1.0], 1.0, 3.0), 3.0 * 2 * np.pi * (1 - np.sqrt(0.5))),
+        (jaxir.SphereSource([0.0, 0.0, 2.5], 1.0, 3.0), 3.0 * 2 * np.pi * (1 - np.sqrt(0.75))),
+        (jaxir.ParallelSource([0.0, 0.0, -1.0], 5.0), 5.0),
+    ],
+    ids=["point", "disc", "sphere", "parallel"],
+)
+def test_lights_reach_particles(source, arriving):
+    """A thin cloud sends on irradiance, or radiance times solid angle, evenly; 1e-3 for its size."""
+    scene, rays, share = cloud(sources=(source,))
+    got = np.asarray(look(scene, rays, jax.random.key(5), Scattering(1)), float)
+    agrees(got, share * arriving, 0.05, bias=2e-3)
+
+
+# Together -------------------------------------------------------------------------------------------------------------
+
+
+def furnace(emissivity, albedo, asymmetry=0.4):
+    """Skin, gas and particles at one temperature under a sky as warm."""
+    grid = jaxir.Grid((-1.5, -0.8, -0.7), (0.5, 0.4, 0.35), (4, 4, 4))
+    particles = jaxir.GrayParticles(2.0, albedo, jaxir.HenyeyGreenstein(asymmetry))
+    plume = jaxir.GridPlume(grid, WARM, jaxir.GrayGas(0.3), particles)
+    skin = jaxir.Skin(box_mesh((1.0, 1.0, 0.6), (0.6, 0.0, 0.0)), WARM, jaxir.Lambert(emissivity))
+    return jaxir.Scene(skin, plume, background=jaxir.BlackbodyBackground(WARM))
+
+
+def across(count):
+    """Rays that meet skin through the plume, skin alone, plume alone, and nothing."""
+    y = jnp.linspace(-1.0, 1.0, count)
+    origin = jnp.stack([jnp.full_like(y, -3.0), y, 0.3 * jnp.sin(9 * y)], axis=-1)
+    direction = jnp.asarray([[1.0, 0.0, 0.0]]) + 0.3 * jnp.stack([0 * y, -y, jnp.cos(5 * y)], axis=-1)
+    return Rays(origin, direction / jnp.linalg.norm(direction, axis=-1, keepdims=True))
+
+
+BOTH = Reflection(bounces=8)
+
+
+def test_furnace_with_particles_and_reflecting_skin():
+    """O10: everything at one temperature is one radiance; beyond 8 bounces and orders .4^9 is left out."""
+    got = look(furnace(0.7, 0.4), across(8_000), jax.random.key(6), Scattering(8), BOTH)
+    assert bool(jnp.isfinite(got).all())
+    agrees(np.asarray(got) / BLACK, 1.0, 0.01, bias=5e-4)
+
+
+def test_nothing_changes_a_furnace():
+    """O10: derivatives in emissivity, albedo and phase vanish, in both modes alike."""
+    rays = across(4096)
+
+    def mean(values):
+        return look(furnace(*values), rays, jax.random.key(7), Scattering(6), Reflection(bounces=6)) / BLACK
+
+    values = tuple(jnp.asarray(v) for v in (0.7, 0.4, 0.4))
+    jacobian = jax.jit(jax.jacfwd(mean))(values)
+    for name, row, least in zip(("emissivity", "albedo", "asymmetry"), jacobian, (0.05, 0.05, 0.02), strict=True):
+        row = np.asarray(row, float)
+        error = row.std() / np.sqrt(row.size)
+        assert least > error > 0, (name, error)
+        assert abs(row.mean()) < 4 * error + 5e-3, (name, row.mean(), error)
+    reverse = jax.jit(jax.grad(lambda v: mean(v).mean()))(values)
+    np.testing.assert_allclose(reverse, [np.mean(row) for row in jacobian], rtol=2e-3, atol=2e-5)
+
+
+def test_derivative_in_the_albedo_is_that_of_the_expected_value():
+    """Held paths: d/d albedo of independent samples against differences of many more."""
+    rays = down(0.7, 60_000)
+    at = lambda albedo, key: look(slab(1.0, albedo), rays, jax.random.key(key), Scattering(15)) / BLACK  # noqa: E731
+    derivative = np.asarray(jax.jit(jax.jvp, static_argnums=0)(lambda a: at(a, 8), (0.6,), (1.0,))[1], float)
+    step = 0.05
+    high, low = (np.asarray(at(0.6 + sign * step, 9), float) for sign in (1, -1))
+    difference = (high - low) / (2 * step)
+    error = np.sqrt((derivative.var() + difference.var()) / derivative.size)
+    # the slope's own third derivative adds step^2 / 6 of it, .2 % here
+    assert error < 0.005 * abs(derivative.mean())
+    assert abs(derivative.mean() - difference.mean()) < 4 * error + 5e-3 * abs(derivative.mean())
+
+
+def test_a_jet_scatters_as_its_cells_do():
+    """Emission, scattering twice, a beam: quadrature against .04 m cells, whose emission alone errs by some percent."""
+    particles = jaxir.GrayParticles(4.0, 0.95, jaxir.HenyeyGreenstein(0.5))
+    jet = jaxir.JetPlume((0, 0, 0), (-1, 0, 0), 0.5, 900.0, 250.0, jaxir.GrayGas(0.4), length=6.0, particles=particles)
+    grid = jaxir.Grid((-3.0, -0.96, -0.96), (0.04, 0.04, 0.04), (75, 48, 48))
+    rays = Rays(
+        jnp.stack([-2.8 * jnp.linspace(0.01, 0.99, 6000), jnp.full(6000, -2.0), 0.2 * jnp.ones(6000)], axis=-1),
+        jnp.broadcast_to(jnp.asarray([0.0, 1.0, 0.0]), (6000, 3)),
+    )
+    sun = (jaxir.ParallelSource([0.0, 0.6, -0.8], 2000.0),)
+    found = []
+    for plume in (jet, jet.to_grid(grid)):
+        got = look(jaxir.Scene(plume=plume, sources=sun), rays, jax.random.key(10), Scattering(3))
+        found.append(np.asarray(got, float))
+    error = np.sqrt(sum(values.var() for values in found) / 6000)
+    assert error < 0.01 * found[0].mean()
+    assert abs(found[0].mean() - found[1].mean()) < 4 * error + 0.02 * found[0].mean()
+
+
+# What is left out, and what is refused --------------------------------------------------------------------------------
+
+
+def test_missing_share_is_what_more_orders_add():
+    scene = jaxir.Scene(plume=furnace(0.5, 0.9, 0.0).plume)
+    camera = jaxir.orthographic_camera(30, 20, 0.3, (6, 6))
+    few, many = (jaxir.render(scene, camera, NODES, samples=64, scattering=Scattering(orders)) for orders in (3, 24))
+    grown = float((many.radiant_intensity() / few.radiant_intensity() - 1)[0])
+    assert 0.005 < grown < 0.2
+    assert abs(float(few.missing()[0]) / grown - 1) < 0.3
+    assert float(many.missing()[0]) < 1e-3
+
+
+def test_scattering_needs_a_key_and_the_exact_sum():
+    scene, rays, _ = cloud()
+    with pytest.raises(ValueError, match="trace: got no key"):
+        trace(scene, rays)
+    with pytest.raises(ValueError, match="path: got PointIntegration, expected CellSum for a plume with particles"):
+        camera = jaxir.orthographic_camera(0, 0, 0.01, (2, 2))
+        jaxir.render(scene, camera, NODES, path=jaxir.PointIntegration())
+
+
+@pytest.mark.parametrize("orders", [-1, True])
+def test_orders_must_be_a_count(orders):
+    with pytest.raises(ValueError, match="Scattering.orders: got"):
+        Scattering(orders)
+
+
+def test_particles_must_fit_the_grid():
+    grid = jaxir.Grid((0, 0, 0), (1, 1, 1), (2, 3, 4))
+    with pytest.raises(ValueError, match=r"GridPlume.particles: got cells \(3,\), expected none or \(2, 3, 4\)"):
+        particles = jaxir.GrayParticles(np.ones((3, 1)), 0.5, jaxir.Isotropic())
+        jaxir.GridPlume(grid, 300.0, jaxir.GrayGas(0.1), particles)
