@@ -43,7 +43,10 @@ from jaxir.quantity import alone as alone
 from jaxir.quantity import at_target as at_target
 from jaxir.render import Image as Image
 from jaxir.render import Outcome as Outcome
+from jaxir.render import Plan as Plan
 from jaxir.render import Signature as Signature
+from jaxir.render import Term as Term
+from jaxir.render import plan as plan
 from jaxir.render import render as render
 from jaxir.render import signature as signature
 from jaxir.render import unoccluded_intensity as unoccluded_intensity

@@ -34,15 +34,20 @@ def line_spectra(
 ) -> Spectra:
     """Cross-sections of molecules in air from lists of lines; with `tabulate` and `save_k_tables` they become an NPZ.
 
-        spectra = line_spectra(["02_hit20.par", "01_hit20.par"], nodes)
-        air = slot_atmosphere(spectra, nodes, path, {"CO2": 420e-6}, hottest)
+        nodes = resolved_nodes(MWIR, width=25.0)
+        spectra = line_spectra(["02_hitemp.par", "01_hitemp.par"], nodes)
+        hottest = GasState(1500.0, 3e4, {"CO2": 0.06, "H2O": 0.07})
+        air = slot_atmosphere(spectra, nodes, StandardAtmosphere(0.0, 10e3, 11.5e3), {"CO2": 420e-6}, hottest)
         save_k_tables("gas.npz", KTables(nodes, tabulate(spectra, nodes), air, spectra.provenance))
 
+    and a scene takes what `load_k_tables` reads: `CorrelatedK(read.tables, ...)` as its plume's gas, `read.air` as its
+    atmosphere, rendered on `read.nodes`.
+
     RADIS (Pannier and Laux, JQSRT 222-223, 2019) adds Voigt lines on an even grid, with partition functions of TIPS
-    and broadening by air and by the species itself. On a list of CO2's nu3 bands made of published constants, means
-    over 25 cm-1 are within 0.1 % of a convolution of the same lines from 296 to 1000 K, once both use one partition
-    function and wings of 100 cm-1; a harmonic oscillator's partition function is less than that of TIPS by 0.6, 1.2
-    and 2.2 % at 700, 1000 and 1500 K.
+    and broadening by the species itself and by air, which stands for all other gases. On a list of CO2's nu3 bands
+    made of published constants, means over 25 cm-1 are within 0.1 % of a convolution of the same lines from 296 to
+    1000 K, once both use one partition function and wings of 100 cm-1; a harmonic oscillator's partition function is
+    less than that of TIPS by 0.6, 1.2 and 2.2 % at 700, 1000 and 1500 K.
 
     A list must hold the lines that matter at the hottest temperature. Of CO2's nu3 bands one cut at 1e-10 of its
     strongest line at 296 K lacks 5 % of the absorption at 1000 K and 26 % at 1500 K: HITEMP or CDSD are for hot gas.

@@ -104,8 +104,13 @@ class Pass(NamedTuple):
         return self.camera.tiles[0] * self.camera.tiles[1]
 
     def chunks(self) -> Int[Array, " chunk"]:
-        """Numbers of the chunks; the last may run past the image."""
+        """Numbers of the chunks."""
         return jnp.arange(-(-self.tiles // self.size), dtype=jnp.int32)
+
+    def tile(self, chunk: Int[Array, ""] | int) -> Int[Array, " tile"]:
+        """Tiles of a chunk, spread over the image, so that chunks cost the same; the last may lie beyond it."""
+        count = self.chunks().shape[0]
+        return jnp.asarray(chunk, jnp.int32) + count * jnp.arange(self.size, dtype=jnp.int32)
 
 
 def whole_image(taken: Pass, parts: Estimate) -> Image:
@@ -123,7 +128,7 @@ def whole_image(taken: Pass, parts: Estimate) -> Image:
 
 def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
     """An image from the values of all chunks."""
-    flat = value.reshape((-1,) + value.shape[2:])
+    flat = jnp.swapaxes(value, 0, 1).reshape((-1,) + value.shape[2:])
     return camera.untile(flat[: camera.tiles[0] * camera.tiles[1]])
 
 
@@ -131,8 +136,8 @@ def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Flo
 def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles."""
     optical, camera, key, strata, method, _ = taken
-    size, start = taken.size, optical.scene.radius(camera.target)
-    tile = chunk * size + jnp.arange(size, dtype=jnp.int32)
+    tile, start = taken.tile(chunk), optical.scene.radius(camera.target)
+    size = tile.shape[0]
     background = optical.scene.background
     uniform = background is None or isinstance(background, AbstractUniformBackground)
 

@@ -104,16 +104,16 @@ def meets(image: Image, rtol: float) -> bool:
     return bool((image.intensity_error() <= rtol * jnp.abs(image.radiant_intensity())).all())
 
 
-def joined(image: Image, passes: int, more: Image, samples: int) -> Image:
-    """The mean of an image of some passes and that of one more."""
-    share = 1 / (passes + 1)
-    error = jnp.sqrt(((1 - share) * image.standard_error) ** 2 + (share * more.standard_error) ** 2)
+def joined(image: Image, more: Image) -> Image:
+    """The mean of two images of the same pixels, weighted by their samples."""
+    taken = image.samples + more.samples
+    own, other = (part.samples / taken for part in (image, more))
+    error = jnp.sqrt((own * image.standard_error) ** 2 + (other * more.standard_error) ** 2)
     radiance, empty, orders = jax.tree.map(
-        lambda a, b: (1 - share) * a + share * b,
+        lambda a, b: own * a + other * b,
         (image.radiance, image.empty, image.orders),
         (more.radiance, more.empty, more.orders),
     )
-    taken = image.samples + samples
     return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
+import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
@@ -15,6 +16,8 @@ from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.render.chunks import PARTS, Pass, compiled_radiometry, estimate_chunk, eye_outside, method_of, whole_image
 from jaxir.render.devices import is_traced, over_items, shared_by
 from jaxir.render.image import Image, Outcome, joined, meets
+from jaxir.render.pilot import well_shaped
+from jaxir.render.planning import plan, require_rtol
 from jaxir.scene.scene import Scene
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.reflection import Reflection
@@ -26,7 +29,7 @@ def render(
     camera: Camera,
     bands: Nodes | Band | Sequence[Band],
     *,
-    samples: int = 8,
+    samples: int | None = None,
     key: Key[Array, ""] | None = None,
     reflection: Reflection | None = None,
     scattering: Scattering | None = None,
@@ -50,13 +53,15 @@ def render(
         scene: the scene.
         camera: the eye.
         bands: bands (one gray node each) or spectral nodes.
-        samples: rays per pixel; even.
+        samples: rays per pixel; even. By default 8, or with rtol what `jaxir.plan` finds.
         key: random key; a fixed one by default, so results repeat.
         reflection: how light from lights with an extent, from the background and from the skin itself is found; see
-            `jaxir.trace`. By default delta sources alone light the skin, and `Reflection()` serves area sources.
+            `jaxir.trace`. By default delta sources alone light the skin, and area sources are served by
+            `Reflection()`, or with rtol alone as `jaxir.plan` finds cheapest.
         scattering: how often paths are scattered by particles; by default `Scattering()` where there are any.
-        rtol: keep adding passes of `samples` until the standard error of the radiant intensity of every band is at
-            most rtol times the intensity; None takes one pass. `Image.outcome` says whether it was met.
+        rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
+            the intensity: passes of `samples` if given, else as `jaxir.plan` foretells. None takes one pass.
+            `Image.outcome` says whether it was met.
         max_samples: rays per pixel at which to give up.
         path: estimator of a gridded plume's radiance along a ray; the exact sum over cells unless asked otherwise.
         devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
@@ -67,35 +72,59 @@ def render(
         The image. Memory beyond it is bounded by `TILES_AT_ONCE` tiles of 256 rays.
 
     Raises:
-        ValueError: wrong shapes, values out of range, an eye inside the scene, `rtol` inside jit.
+        ValueError: wrong shapes, values out of range, an eye inside the scene, `rtol` inside jit, <= 0 or beyond
+            the precision in force.
 
     Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
     geometry is seen as fixed.
     """
-    nodes = as_nodes(bands)
-    strata = pixel_strata(samples)
     key = jax.random.key(0) if key is None else key
+    planned = samples is None and rtol is not None
+    if rtol is not None:
+        if is_traced((scene, camera, key, reflection, scattering, path)):
+            raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
+        require_rtol(rtol)
+        if planned:
+            found = plan(
+                scene,
+                camera,
+                bands,
+                rtol,
+                key=jax.random.fold_in(key, 0),
+                reflection=reflection,
+                scattering=scattering,
+                max_samples=max_samples,
+                path=path,
+            )
+            samples, reflection = found.samples, found.method.reflection
+    samples = 8 if samples is None else samples
+    if max_samples < samples:
+        raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {samples}")
+    nodes = as_nodes(bands)
     method = method_of(scene, reflection, scattering, path)
     nodes = enforce(nodes, [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)])
     parts = PARTS if devices is None else max(PARTS, devices.size)
-    first = Pass(compiled_radiometry(scene, nodes), camera, key, strata, method, parts)
+    first = Pass(compiled_radiometry(scene, nodes), camera, key, pixel_strata(samples), method, parts)
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 
-    def take(own: Array) -> Image:
-        taken = first._replace(key=own)
+    def take(own: Array, samples: int) -> Image:
+        taken = first._replace(key=own, strata=pixel_strata(samples))
         return whole_image(taken, over_items(estimate_chunk, taken, taken.chunks(), "render", mesh))
 
+    image, passes = take(key, samples), 0
     if rtol is None:
-        return take(key)
-    if is_traced(first):
-        raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
-    if not rtol > 0 or max_samples < samples:
-        raise ValueError(
-            f"rtol, max_samples: got {rtol}, {max_samples}, expected rtol > 0 and max_samples >= samples = {samples}"
-        )
-    image, passes = take(key), 1
-    while not meets(image, rtol) and (passes + 1) * samples <= max_samples:
-        image = joined(image, passes, take(jax.random.fold_in(key, passes)), samples)
+        return image
+    while not meets(image, rtol) and int(image.samples) + samples <= max_samples:
         passes += 1
+        more = top_up(image, rtol, samples) if planned else samples
+        image = joined(image, take(jax.random.fold_in(key, passes), more))
     outcome = Outcome.tolerance_met if meets(image, rtol) else Outcome.samples_spent
     return eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
+
+
+def top_up(image: Image, rtol: float, most: int) -> int:
+    """Rays per pixel that an image lacks to meet a tolerance, at most `most`: its variance falls as theirs grow."""
+    error, intensity = np.asarray(image.intensity_error()), np.abs(np.asarray(image.radiant_intensity()))
+    short = np.max(np.divide(error, rtol * intensity, out=np.full_like(error, np.inf), where=intensity > 0))
+    wanted = min((short**2 - 1) * int(image.samples) * 1.1, most)
+    return next((count for count in well_shaped(most) if count >= wanted), well_shaped(most)[-1])

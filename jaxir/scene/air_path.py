@@ -29,7 +29,8 @@ class StandardAtmosphere(AbstractAtmosphere):
     Use it with `resolved_nodes`: the transmittance of a node is the mean over the node's bin, and a mean over a whole
     band is the wrong factor for anything whose spectrum follows that of the air (for a 360 K surface seen from the
     ground the SWIR transmittance is .15, its band mean .50). It cannot be right for hot CO2 behind cold CO2, either,
-    whose lines coincide: product and truth differ by +3 % (1500 K, thick) to +37 % (1000 K, dilute) at 4.3 um.
+    whose lines coincide: product and truth differ by +3 % (1500 K, thick) to +37 % (1000 K, dilute) at 4.3 um. With
+    lists of lines `jaxir.io.k_tables.slot_atmosphere` averages the path over the slots of a node's quantile instead.
 
     Attributes:
         sensor_altitude: [m].

@@ -9,7 +9,7 @@ import pytest
 import jaxir
 from jaxir.io import lines as lines_module
 from jaxir.io.hitran import check_line_file
-from jaxir.io.k_tables import KTables, load_k_tables, save_k_tables, tabulate
+from jaxir.io.k_tables import GasState, KTables, load_k_tables, save_k_tables, slot_atmosphere, tabulate
 from jaxir.io.lines import line_spectra
 from jaxir.optics.planck import band_radiance
 from jaxir.optics.resolve import resolved_nodes
@@ -82,19 +82,23 @@ def test_radis_gives_the_spectrum_of_its_lines(spectra, temperature):
             assert passed[0] == pytest.approx(passed[1], abs=2e-3)
 
 
-def test_from_a_list_to_a_gas(spectra, tmp_path):
-    """Table, file, gas: radiance within 2 % of line by line, 1 % of it from the partition function."""
+def test_from_a_list_to_a_gas_behind_air(spectra, tmp_path):
+    """List, tables, air, file, radiance: within 2 % of line by line, of which 0.5 % are the partition function's."""
+    path, hottest = jaxir.StandardAtmosphere(10e3, 10e3, 5e3), GasState(650.0, PRESSURE, {"CO2": 0.06})
     tables = tabulate(spectra, NODES, [296.0, 400.0, 550.0, 750.0], [PRESSURE], [0.0], progress=False)
-    save_k_tables(tmp_path / "co2.npz", KTables(NODES, tables, None, spectra.provenance))
+    air = slot_atmosphere(spectra, NODES, path, {"CO2": 4e-4}, hottest, segments=2, progress=False)
+    save_k_tables(tmp_path / "co2.npz", KTables(NODES, tables, air, spectra.provenance))
     read = load_k_tables(tmp_path / "co2.npz")
     assert "02_co2.par" in read.provenance and "SHA-256" in read.provenance
-    hot = jnp.asarray(650.0)
-    for thickness in (0.003, 0.1, 1.0):
+    hot, inside = jnp.asarray(650.0), (truth.GRID > 2280 - 1e-6) & (truth.GRID < 2380 - 1e-6)
+    cold = truth.air_depth(path, 4e-4, segments=2)
+    for thickness in (0.03, 0.3, 1.0):
         kappa = jaxir.CorrelatedK(read.tables, PRESSURE, {"CO2": 0.06}).absorption(read.nodes, hot)
-        got = float(read.nodes.in_band(-jnp.expm1(-thickness * kappa) * band_radiance(hot, read.nodes))[0])
-        exact = truth.radiance([(650.0, PRESSURE, 0.06, thickness)], 0.0)
-        inside = (truth.GRID > 2280 - 1e-6) & (truth.GRID < 2380 - 1e-6)
-        assert got == pytest.approx(exact[inside].mean() * 100, rel=0.02)
+        emitted = -jnp.expm1(-thickness * kappa) * band_radiance(hot, read.nodes)
+        for passed, depth in ((1.0, 0.0), (read.air.transmittance(read.nodes), cold)):
+            exact = truth.radiance([(650.0, PRESSURE, 0.06, thickness)], depth)[inside].mean() * 100
+            got = float(read.nodes.in_band(emitted * passed)[0])
+            assert got == pytest.approx(exact, rel=0.02)
 
 
 def test_spectra_are_kept_and_the_list_s_folder_is_left_alone(spectra, listed, monkeypatch):

@@ -382,7 +382,7 @@ def test_what_does_not_apply_is_refused():
     refused(jaxir.Scene(open_box(jaxir.Lambert(0.5))), "expected 0: skin closed and convex, or flat")
     low = jaxir.DiscSource([3.0, 0.0, 0.5], [-1.0, 0.0, 0.0], 1.0, 1.0)
     refused(jaxir.Scene(plate(), sources=(low,)), "wholly above or wholly below")
-    with pytest.raises(ValueError, match="rtol, max_samples: got -1"):
+    with pytest.raises(ValueError, match="rtol: got -1"):
         jaxir.render(lit, jaxir.orthographic_camera(0.0, 90.0, 0.1, (4, 4)), jaxir.LWIR, rtol=-1.0)
     with pytest.raises(ValueError, match="sources at a finite distance"):
         jaxir.unoccluded_intensity(lit, 0.0, 90.0, jaxir.LWIR)

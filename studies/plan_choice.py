@@ -1,0 +1,171 @@
+"""How good is the plan's choice? Its time against the best choice by hand, over a grid of scenes.
+
+python -m studies.plan_choice
+"""
+
+import csv
+import itertools
+import statistics
+import time
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+from tqdm import tqdm
+
+import jaxir
+from studies.charts import out_folder
+
+SAMPLES = (2, 4, 8, 18, 32, 72, 128, 288)
+REPEATS = 5
+WAYS = {
+    "light": jaxir.Reflection(jaxir.LightSampling(1)),
+    "mis": jaxir.Reflection(jaxir.MultipleImportance(1, 1)),
+    "light 16": jaxir.Reflection(jaxir.LightSampling(16), sampler=jaxir.Sobol()),
+    "mis 8 + 8": jaxir.Reflection(jaxir.MultipleImportance(8, 8), sampler=jaxir.Sobol()),
+}
+
+
+def box(size, centre):
+    unit = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) - 0.5
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    return jaxir.Mesh(unit * np.array(size) + np.array(centre), np.array(faces))
+
+
+BODY = box((2.0, 0.8, 0.6), (1.0, 0.0, 0.0))
+SQUARE = jaxir.Mesh([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], [[0, 1, 2], [0, 2, 3]])
+GRID = jaxir.Grid((-4.0, -0.5, -0.5), (0.25, 0.25, 0.25), (16, 4, 4))
+SUN = jaxir.ParallelSource((-0.6, -0.8, 0.0), 20.0)
+
+
+def plume(absorption):
+    x = GRID.centres()[..., 0]
+    return jaxir.GridPlume(GRID, 1200.0 + 150.0 * x, jaxir.GrayGas(absorption))
+
+
+def skin(mesh, temperature, emissivity=0.7):
+    return jaxir.Skin(mesh, temperature, jaxir.Lambert(emissivity))
+
+
+def scenes():
+    """Name, scene, ways to find reflected light, pixel [m]."""
+    none = {"": None}
+    wide, far = 0.075, 0.5  # the scene fills the image, or a few pixels
+    for pixel, name in ((wide, "wide"), (far, "far")):
+        yield f"skin, {name}", jaxir.Scene(skin(BODY, 320.0)), none, pixel
+        yield f"skin, sun, {name}", jaxir.Scene(skin(BODY, 280.0), sources=(SUN,)), none, pixel
+        for absorption in (1e-3, 0.3, 30.0):
+            yield f"plume {absorption}, {name}", jaxir.Scene(plume=plume(absorption)), none, pixel
+        for absorption in (1e-3, 3.0):
+            whole = jaxir.Scene(skin(BODY, 320.0), plume(absorption), (SUN,))
+            yield f"skin, plume {absorption}, sun, {name}", whole, none, pixel
+    for radius, temperature in ((0.2, 3.0), (1.5, 3.0), (0.5, 300.0)):
+        lamp = jaxir.SphereSource((4.0, 3.0, 0.0), radius, 100.0)
+        yield f"lamp {radius}, {temperature} K", jaxir.Scene(skin(BODY, temperature), sources=(lamp,)), WAYS, wide
+    disc = jaxir.DiscSource((3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 1.0, 100.0)
+    forms = {"closed form": jaxir.Reflection(jaxir.ClosedForm()), "light": WAYS["light"]}
+    for temperature in (3.0, 330.0):
+        scene = jaxir.Scene(skin(SQUARE, temperature), sources=(disc,))
+        yield f"disc, {temperature} K", scene, forms, 0.03
+
+
+def camera(pixel):
+    return jaxir.orthographic_camera(40.0, 15.0, pixel, (96, 96), target=(-1.0, 0.0, 0.0))
+
+
+def look(scene, eye, samples, reflection, key=0):
+    return jax.block_until_ready(
+        jaxir.render(scene, eye, jaxir.LWIR, samples=samples, reflection=reflection, key=jax.random.key(key))
+    )
+
+
+def relative_error(image):
+    return float(image.intensity_error()[0] / np.abs(image.radiant_intensity()[0]))
+
+
+def by_hand(scene, eye, ways, rtol):
+    """The fewest samples of each way that meet the tolerance: (way, samples)."""
+    for name, reflection in ways.items():
+        for samples in SAMPLES:
+            if relative_error(look(scene, eye, samples, reflection)) <= rtol:
+                yield name, samples
+                break
+
+
+def planned(scene, eye, rtol):
+    """What the plan computes: (reflection, samples) of the pass, and of another one if the first did not do."""
+    found = jaxir.plan(scene, eye, jaxir.LWIR, rtol)
+    passes = [(found.method.reflection, found.samples)]
+    reached = relative_error(look(scene, eye, found.samples, found.method.reflection))
+    if reached > rtol:
+        image = jaxir.render(scene, eye, jaxir.LWIR, rtol=rtol)
+        passes.append((found.method.reflection, max(2, int(image.samples) - found.samples)))
+    return found, passes
+
+
+def seconds(scene, eye, passes):
+    """CPU seconds and seconds."""
+    start = time.process_time(), time.perf_counter()
+    for number, (reflection, samples) in enumerate(passes):
+        look(scene, eye, samples, reflection, number)
+    return time.process_time() - start[0], time.perf_counter() - start[1]
+
+
+def compare(name, scene, ways, pixel, rtol):
+    """One row: the plan against the best by hand, medians of interleaved repeats."""
+    eye = camera(pixel)
+    hands = list(by_hand(scene, eye, ways, rtol))
+    if not hands:
+        return None
+    found, passes = planned(scene, eye, rtol)
+    runs = [passes] + [[(ways[way], samples)] for way, samples in hands]
+    for run in runs:
+        seconds(scene, eye, run)
+    both = np.array([[seconds(scene, eye, run) for run in runs] for _ in range(REPEATS)])
+    times, wall = both[..., 0], np.median(both[:, 0, 1])
+    medians = np.median(times, axis=0)
+    best = int(np.argmin(medians[1:]))
+    return {
+        "scene": name,
+        "rtol": rtol,
+        "planned_samples": "+".join(str(samples) for _, samples in passes),
+        "planned_seconds": medians[0],
+        "predicted_over_elapsed": found.seconds / wall,
+        "hand": f"{hands[best][0]} {hands[best][1]}".strip(),
+        "hand_seconds": medians[1 + best],
+        "ratio": statistics.median(times[:, 0] / times[:, 1 + best]),
+    }
+
+
+def main():
+    grid = list(itertools.product(scenes(), (1e-2, 2e-3, 7e-4)))
+    rows = [row for (scene, rtol) in tqdm(grid) if (row := compare(*scene, rtol)) is not None]
+    out = out_folder("plan_choice")
+    with open(out / "plan_choice.csv", "w", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0])
+        writer.writeheader()
+        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    ratios = np.sort([row["ratio"] for row in rows])
+    predicted = np.array([row["predicted_over_elapsed"] for row in rows])
+    good = np.mean(ratios <= 1.3)
+    figure, axis = plt.subplots(figsize=(6, 4), constrained_layout=True)
+    axis.step(ratios, np.arange(1, len(ratios) + 1) / len(ratios), where="post")
+    axis.axvline(1.3, color="0.6", linestyle="--")
+    axis.set(
+        xscale="log",
+        xlabel="CPU time of the planned method / best by hand",
+        ylabel="share of scenes",
+        title=f"{len(rows)} scenes: {100 * good:.0f} % within 1.3",
+    )
+    figure.savefig(out / "plan_choice.png", dpi=110)
+    low, middle, high = np.quantile(predicted, (0.1, 0.5, 0.9))
+    print(
+        f"{len(rows)} scenes: within 1.3 times the best choice by hand on {100 * good:.0f} %, median "
+        f"{np.median(ratios):.2f}, worst {ratios[-1]:.2f}; predicted over measured seconds {middle:.2f} "
+        f"({low:.2f} to {high:.2f} for 80 %)"
+    )
+
+
+if __name__ == "__main__":
+    main()
