@@ -10,6 +10,7 @@ from jaxir.geometry.sampling import Independent as Independent
 from jaxir.geometry.sampling import Lattice as Lattice
 from jaxir.geometry.sampling import Sobol as Sobol
 from jaxir.geometry.sampling import Stratified as Stratified
+from jaxir.geometry.view import visible_faces as visible_faces
 from jaxir.optics.band import LWIR as LWIR
 from jaxir.optics.band import MWIR as MWIR
 from jaxir.optics.band import SWIR as SWIR

@@ -1,34 +1,42 @@
 """What the fitting studies share: the finite-difference baseline and their charts."""
 
 import time
+from collections.abc import Callable
+from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 import scipy.optimize
 
 from jaxir.fit import Fit, solve
-from jaxir.fit.solve import Problem
+from jaxir.fit.problem import Problem
 
 
-def finite_differences(problem: Problem) -> tuple[np.ndarray, float, float, int]:
-    """scipy.optimize.least_squares with finite differences on the same residuals, from the same start.
+class Baseline(NamedTuple):
+    """What scipy did: coordinates found [p], seconds, evaluations, and seconds and cost of each evaluation."""
 
-    Returns values [p], chi-squared, seconds (compilation apart), evaluations of the residuals.
-    """
-    residual = eqx.filter_jit(lambda p, z: p.residual(z))
-    z = np.asarray(problem.coordinates.origin())
-    calls = [0]
+    z: np.ndarray
+    seconds: float
+    calls: int
+    at: np.ndarray
+    cost: np.ndarray
+
+
+def finite_differences(residual: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> Baseline:
+    """scipy.optimize.least_squares with finite differences on given residuals; compilation apart."""
+    z = np.asarray(start)
+    log: list[tuple[float, float]] = []
 
     def call(at: np.ndarray) -> np.ndarray:
-        calls[0] += 1
-        return np.asarray(residual(problem, at.astype(z.dtype)), np.float64)
+        r = np.asarray(residual(at.astype(z.dtype)), np.float64)
+        log.append((time.perf_counter(), float(r @ r)))
+        return r
 
     call(z)
+    log.clear()
     began = time.perf_counter()
     found = scipy.optimize.least_squares(call, z.astype(np.float64), diff_step=1e-3, xtol=1e-6, ftol=1e-6)
-    seconds = time.perf_counter() - began
-    values = np.asarray(problem.coordinates.values(found.x.astype(z.dtype)))
-    return values, 2 * float(found.cost), seconds, calls[0] - 1
+    at, cost = np.array(log).T
+    return Baseline(found.x.astype(z.dtype), time.perf_counter() - began, len(log), at - began, cost)
 
 
 def timed_solve(problem: Problem, **settings) -> tuple[Fit, float, float]:

@@ -1,52 +1,323 @@
-"""What does an aircraft with its plume look like in the infrared, and how many W/sr does it send where?
+"""What does an aircraft with its plume look like in the infrared, how many W/sr does it send where, what hides it?
 
-Writes radiance images (PNG, NPZ, TIFF) and the radiant intensity over aspects (CSV, PNG) of a generic aircraft of the
-paper's dimensions, or of your own mesh (`--mesh FILE --unit m`).
+Section 3 of Yu et al. (10.3788/IRLA20200241): an aircraft plain and suppressed, seen from the ground and from the air,
+as images (Fig. 15) and as radiant intensity around three axes (Fig. 14), with the paper's conclusions checked against
+the numbers. `--mesh FILE --unit m` does the same for your own mesh.
+
+The three bands are computed on one set of spectral nodes, in vacuum; air multiplies every node afterwards.
 """
 
 import argparse
+import dataclasses
+import json
+import platform
 import sys
 import time
+from importlib.metadata import version
 from pathlib import Path
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxir
+from jaxir.io.files import written_whole
 from jaxir.io.meshes import METRES, load_mesh
 from jaxir.io.results import save_image, save_signature, save_tiff
+from jaxir.io.sweep import sweep
+from jaxir.render import Signature
 from studies import aircraft
 from studies.charts import polar_signature, radiance_panels
 
+Scenes = dict[str, jaxir.Scene]
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
-CORE_ABSORPTION = (0.25, 0.5, 0.01)  # gray stand-in of the gas at full exhaust fraction, by band [m-1]
-SUN = (10.0, 1.0, 0.05)  # irradiance at the aircraft by band [W m-2]
-AIR_PATH = (0.880, 0.813, 0.971)  # transmittance of 5 km at 10 km altitude (LOWTRAN 7, no haze)
-AIR_GLOW = (8.7e-6, 0.010, 0.196)  # path radiance of the same path [W m-2 sr-1]
+SUN_SURFACE = 5772.0  # effective temperature, which spreads the sun's light over SWIR [K]
 
 
-def build_scene(mesh: jaxir.Mesh, temperature: np.ndarray, emissivity: float, plume: jaxir.GridPlume) -> jaxir.Scene:
-    return jaxir.Scene(
-        skin=jaxir.Skin(mesh, temperature, jaxir.Lambert(emissivity)),
-        plume=plume,
-        sources=(jaxir.ParallelSource((0.0, 0.0, -1.0), SUN),),
-        atmosphere=jaxir.FixedPath(AIR_PATH, AIR_GLOW),
+@dataclasses.dataclass(frozen=True)
+class Conditions:
+    """Table 3, and what the paper leaves open (marked *)."""
+
+    plain_emissivity: float = 0.8
+    suppressed_emissivity: float = 0.2
+    fuel_flow: float = 0.15  # n-pentane [kg/s]
+    equivalence_ratio: float = 0.62  # * adiabatic at 2000 K from 650 K
+    exit_temperature: float = 2000.0  # [K]
+    pressure: float = 26500.0  # of the air at 10 km [Pa]
+    particle_flow: float = 2.0  # [kg/s]
+    particle_diameter: float = 10.0  # [um]
+    particle_spread: float = 0.1  # * standard deviation of ln diameter; equal spheres ripple
+    particle_index: tuple[float, float] = (2.0, 5e-5)  # n, k
+    particle_density: float = 2200.0  # * of the substance [kg/m3]
+    sun_irradiance: float = 10.0  # SWIR, along -z; * the paper's "10 W m-2 sr-1" read as irradiance [W m-2]
+    depth: int = 10  # reflections and scatterings
+
+
+@dataclasses.dataclass(frozen=True)
+class Effort:
+    """How finely the study looks."""
+
+    step: float  # between aspects [deg]
+    view: int  # pixels across a view of the signature
+    pixels: int  # across an image
+    samples: int  # rays per pixel of an image
+    bins: tuple[float, int, int]  # width [cm-1], quantiles, quantiles per gas where two overlap
+    depth: int  # largest number of reflections and scatterings
+
+
+FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10)
+QUICK = Effort(step=60.0, view=40, pixels=100, samples=2, bins=(500.0, 2, 2), depth=3)
+
+
+def exhaust(given: Conditions) -> tuple[jaxir.NarrowBandGas, float]:
+    """Gas at the nozzle, and its speed there [m/s]: what .15 kg/s of pentane burn, by the ideal gas law."""
+    products = jaxir.combustion_products(5, 12, given.equivalence_ratio)
+    gas = jaxir.NarrowBandGas(given.pressure, h2o=products.h2o, co2=products.co2, o2=products.o2)
+    air_per_fuel = 8 * (31.998 + 3.7738 * 28.15) / 72.15 / given.equivalence_ratio  # C5H12 + 8 O2; N2 with argon
+    flow = given.fuel_flow * (1 + air_per_fuel)
+    density = given.pressure * 28.7e-3 / (8.314 * given.exit_temperature)
+    return gas, flow / (density * np.pi / 4 * aircraft.NOZZLE**2)
+
+
+def particles(given: Conditions, speed: float) -> jaxir.Particles:
+    """The suppressed plume's particles as they leave the nozzle."""
+    index = given.particle_index[0] - 1j * given.particle_index[1]
+    wavelength = np.geomspace(1.0, 12.5, 81)
+    table = jaxir.mie_table(given.particle_diameter, index, wavelength, given.particle_spread, angles=181, sizes=9)
+    area = np.pi / 4 * aircraft.NOZZLE**2
+    return jaxir.Particles(
+        jaxir.number_density(given.particle_flow, given.particle_density, speed, area, table.volume), table
     )
 
 
-def gray_plume() -> jaxir.GridPlume:
-    grid, temperature, fraction = aircraft.round_jet()
-    absorption = fraction[..., None] * np.array(CORE_ABSORPTION)
-    return jaxir.GridPlume(grid, temperature, jaxir.GrayGas(absorption))
+def sun(nodes: jaxir.Nodes, given: Conditions) -> jaxir.ParallelSource:
+    """Light along -z, in SWIR alone, spread over its nodes like sunlight."""
+    spread = np.asarray(jaxir.band_radiance(jnp.asarray(SUN_SURFACE), nodes)) * np.asarray(nodes.response)[0]
+    total = float(np.sum(spread * np.asarray(nodes.weight)))
+    return jaxir.ParallelSource((0.0, 0.0, -1.0), given.sun_irradiance * spread / total)
+
+
+def scenes(mesh: jaxir.Mesh, temperature: np.ndarray, nodes: jaxir.Nodes, given: Conditions) -> Scenes:
+    """Plain and suppressed, in vacuum."""
+    gas, speed = exhaust(given)
+    back = float(np.asarray(mesh.vertices)[:, 0].min())
+    made = {}
+    for name, emissivity, load in (
+        ("plain", given.plain_emissivity, None),
+        ("suppressed", given.suppressed_emissivity, particles(given, speed)),
+    ):
+        skin = jaxir.Skin(mesh, temperature, jaxir.Lambert(emissivity))
+        jet = jaxir.JetPlume(
+            (back, 0.0, 0.0),
+            (-1.0, 0.0, 0.0),
+            aircraft.NOZZLE,
+            given.exit_temperature,
+            aircraft.AMBIENT,
+            gas,
+            length=60.0,
+            particles=load,
+        )
+        made[name] = jaxir.Scene(skin, jet, (sun(nodes, given),))
+    return made
+
+
+# Where the sensor is: altitude [m], range to the aircraft at 10 km [m], angular resolution [rad].
+PLACES = {"ground": (0.0, 11_547.0, 5e-6), "air": (10_000.0, 5_000.0, 1e-5)}
+
+
+def path_of(place: str) -> jaxir.StandardAtmosphere:
+    altitude, distance, _ = PLACES[place]
+    return jaxir.StandardAtmosphere(altitude, 10_000.0, distance)
+
+
+def circles(step: float) -> dict[str, np.ndarray]:
+    """Aspects [view, 2] [deg] as the aircraft turns about its three axes before the sensor."""
+    turn = np.arange(0.0, 360.0, step)
+    rise = np.rad2deg(np.arcsin(np.sin(np.deg2rad(turn))))
+    front = np.cos(np.deg2rad(turn)) > -1e-9
+    return {
+        "yaw": np.stack([turn, np.zeros_like(turn)], 1),
+        "pitch": np.stack([np.where(front, 0.0, 180.0), rise], 1),
+        "roll": np.stack([np.where(front, 90.0, 270.0), rise], 1),
+    }
+
+
+def each_node(nodes: jaxir.Nodes) -> jaxir.Nodes:
+    """The same nodes, every one its own band: air multiplies node by node, so one sweep serves every path of air."""
+    names = tuple(f"{low:.0f} cm-1" for low in np.asarray(nodes.lower))
+    return dataclasses.replace(nodes, response=jnp.eye(nodes.count, dtype=nodes.weight.dtype), names=names)
+
+
+def through_air(table: Signature, nodes: jaxir.Nodes, place: str) -> Signature:
+    """In-band contrast intensities behind the air, from those of the nodes in vacuum.
+
+    The nodes of a view share their rays, so their standard errors are added: an upper bound.
+    """
+    factor = nodes.response * path_of(place).transmittance(nodes)[None, :]
+    intensity, error = table.intensity @ factor.T, table.standard_error @ factor.T
+    added = jnp.where(jnp.isfinite(table.missing), table.missing * table.intensity, 0) @ factor.T
+    return Signature(table.azimuth, table.elevation, intensity, error, nodes.names, added / intensity)
+
+
+Tables = dict[tuple[str, str, str], Signature]  # by aircraft, place, axis
+
+
+def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, given: Conditions, folder: Path | None) -> Tables:
+    """Intensities around three axes; in a folder every finished view is kept, so that a run that was killed goes on."""
+    views = circles(effort.step)
+    tables: Tables = {}
+    depth = min(effort.depth, given.depth)
+    for name, scene in made.items():
+        asked = (scene, np.concatenate(list(views.values())), each_node(nodes))
+        how = {
+            "distance": 5_000.0,
+            "shape": (effort.view // 2, effort.view),
+            "reflection": jaxir.Reflection(bounces=depth),
+            "scattering": jaxir.Scattering(depth),
+        }
+        vacuum = jaxir.signature(*asked, **how) if folder is None else sweep(folder / name, *asked, **how)
+        for place in PLACES:
+            whole, begin = through_air(vacuum, nodes, place), 0
+            for axis, aspects in views.items():
+                part = slice(begin, begin + len(aspects))
+                tables[name, place, axis] = Signature(
+                    whole.azimuth[part],
+                    whole.elevation[part],
+                    whole.intensity[part],
+                    whole.standard_error[part],
+                    whole.bands,
+                    whole.missing[part],
+                )
+                begin += len(aspects)
+    return tables
+
+
+def images(
+    made: dict[str, jaxir.Scene], nodes: jaxir.Nodes, effort: Effort, given: Conditions
+) -> dict[str, jaxir.Image]:
+    """Fig. 15: from below behind on the ground, from the side in the air."""
+    found = {}
+    for place, (_, distance, resolution) in PLACES.items():
+        azimuth, elevation = (120.0, -60.0) if place == "ground" else (90.0, 0.0)
+        pixel = resolution * 500 / effort.pixels
+        camera = jaxir.perspective_camera(
+            azimuth, elevation, distance, pixel, (effort.pixels // 2, effort.pixels), target=(-4.0, 0.0, 0.0)
+        )
+        for name, scene in made.items():
+            seen = eqx.tree_at(lambda s: s.atmosphere, scene, path_of(place), is_leaf=lambda x: x is None)
+            depth = min(effort.depth, given.depth)
+            found[f"{name}, {place}"] = jaxir.render(
+                seen,
+                camera,
+                nodes,
+                samples=effort.samples,
+                reflection=jaxir.Reflection(bounces=depth),
+                scattering=jaxir.Scattering(depth),
+            )
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Side:
+    """What is seen from the side in vacuum, by band."""
+
+    skin: np.ndarray  # intensity of the skin alone [W sr-1]
+    plume: np.ndarray  # and of the plume alone
+    brightest: np.ndarray  # radiance of the plume's brightest pixel [W m-2 sr-1]
+    area: np.ndarray  # of pixels at least a thousandth as bright as the plain plume's brightest [m2]
+
+
+def from_the_side(made: Scenes, nodes: jaxir.Nodes, depth: int) -> dict[str, Side]:
+    """Skin and plume apart."""
+    camera = jaxir.perspective_camera(90, 0, 5_000.0, 4e-5, (24, 200), target=(aircraft.TAIL_X - 15.0, 0, 0))
+    found: dict[str, Side] = {}
+    for name, scene in made.items():
+        skin, plume = jaxir.Scene(scene.skin, sources=scene.sources), jaxir.Scene(None, scene.plume, scene.sources)
+        table = jaxir.signature(skin, [[90.0, 0.0]], nodes, distance=5_000.0)
+        image = jaxir.render(plume, camera, nodes, samples=2, scattering=jaxir.Scattering(depth))
+        radiance = np.asarray(image.radiance)
+        brightest = radiance.max((0, 1))
+        least = (found["plain"].brightest if found else brightest) / 1000
+        area = (np.asarray(camera.pixel_area())[:, :, None] * (radiance > least)).sum((0, 1))
+        found[name] = Side(np.asarray(table.intensity)[0], np.asarray(image.radiant_intensity()), brightest, area)
+    return found
+
+
+def cooler_exhaust(scene: jaxir.Scene, nodes: jaxir.Nodes, skin: np.ndarray) -> list[str]:
+    """How the bands of the plain aircraft rank from the side in vacuum if the exhaust were cooler."""
+    said = []
+    for kelvin in (600.0, 800.0, 1000.0, 1400.0, 2000.0):
+        jet = eqx.tree_at(lambda plume: plume.exit_temperature, scene.plume, jnp.asarray(kelvin))
+        plume = np.asarray(jaxir.signature(jaxir.Scene(None, jet), [[90.0, 0.0]], nodes, shape=(32, 128)).intensity)[0]
+        whole = skin + plume
+        order = " > ".join(BANDS[i].name for i in np.argsort(-whole))
+        values = ", ".join(f"{band.name} {value:.3g}" for band, value in zip(BANDS, whole, strict=True))
+        said.append(f"exhaust of {kelvin:.0f} K: {order} ({values} W/sr; plume {plume[2] / whole[2]:.0%} of LWIR)")
+    return said
+
+
+def conclusions(tables: Tables, side: dict[str, Side]) -> list[str]:
+    """The paper's conclusions, each with what was found here."""
+    axes = sorted({axis for _, _, axis in tables})
+    stack = {
+        (name, place): np.concatenate([np.asarray(tables[name, place, axis].intensity) for axis in axes])
+        for name in ("plain", "suppressed")
+        for place in PLACES
+    }
+    height = np.concatenate([np.asarray(tables["plain", "air", axis].elevation) for axis in axes])
+    mean = {key: value.mean(0) for key, value in stack.items()}
+    said = []
+
+    def check(what: str, holds: np.ndarray | bool, numbers: str) -> None:
+        share = float(np.mean(holds))
+        said.append(f"{'holds' if share == 1 else f'holds in {share:.0%}'}: {what} ({numbers})")
+
+    def means(name: str, place: str) -> str:
+        return ", ".join(f"{band.name} {value:.3g}" for band, value in zip(BANDS, mean[name, place], strict=True))
+
+    for name in ("plain", "suppressed"):
+        fainter = stack[name, "ground"] < stack[name, "air"]
+        check(
+            f"{name}: fainter from the ground than in the air, every aspect and band",
+            fainter,
+            f"mean W/sr ground {means(name, 'ground')}; air {means(name, 'air')}",
+        )
+    for place in PLACES:
+        s, m, w = stack["plain", place].T
+        check(f"plain, {place}: LWIR > MWIR > SWIR", (w > m) & (m > s), f"mean W/sr {means('plain', place)}")
+        s, m, w = stack["suppressed", place].T
+        check(f"suppressed, {place}: LWIR > SWIR > MWIR", (w > s) & (s > m), f"mean W/sr {means('suppressed', place)}")
+    ratio = stack["suppressed", "air"] / stack["plain", "air"]
+    for band, column in (("MWIR", 1), ("LWIR", 2)):
+        r = ratio[:, column]
+        check(f"suppression lowers {band} at every aspect", r < 1, f"to {r.min():.2f} ... {r.max():.2f}")
+    r = ratio[height > 10, 0]
+    check("suppression raises SWIR seen from the sunlit side", r > 1, f"to {r.min():.2f} ... {r.max():.2f}")
+    plain, covered = side["plain"], side["suppressed"]
+    share = plain.plume / (plain.plume + plain.skin)
+    shares = ", ".join(f"{band.name} {value:.1%}" for band, value in zip(BANDS, share, strict=True))
+    check("the plain plume is invisible in LWIR: less than 5 % of the intensity from the side", share[2] < 0.05, shares)
+    dimmer, larger = covered.brightest / plain.brightest, covered.area / plain.area
+    for column, band in enumerate(BANDS[:2]):
+        check(
+            f"the suppressed plume is dimmer but larger in {band.name}",
+            bool(dimmer[column] < 1 < larger[column]),
+            f"brightest pixel x {dimmer[column]:.2f}, area x {larger[column]:.2f}",
+        )
+    return said
 
 
 def arguments(argv: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m studies.stealth_aircraft", description=__doc__.split("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="few aspects and pixels: minutes instead of hours")
     parser.add_argument("--mesh", help="your own mesh (STL, OBJ, PLY, GLB), nose along +x, z up")
     parser.add_argument("--unit", choices=list(METRES), help="length unit of --mesh (required with it)")
     parser.add_argument("--temperature", type=float, default=255.0, help="skin temperature of --mesh [K] (%(default)s)")
-    parser.add_argument("--emissivity", type=float, default=0.8, help="of the skin (%(default)s)")
-    parser.add_argument("--pixels", type=int, default=500, help="columns of the images, twice the rows (%(default)s)")
-    parser.add_argument("--samples", type=int, default=8, help="rays per pixel, even (%(default)s)")
+    parser.add_argument(
+        "--density", type=float, default=2200.0, help="of the particles' substance [kg/m3] (%(default)s)"
+    )
+    parser.add_argument("--sun", type=float, default=10.0, help="SWIR irradiance along -z [W m-2] (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("studies/out/stealth_aircraft"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)
     if (chosen.mesh is None) != (chosen.unit is None):
@@ -56,40 +327,58 @@ def arguments(argv: list[str]) -> argparse.Namespace:
 
 def main(argv: list[str]) -> None:
     chosen = arguments(argv)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    began = time.perf_counter()
+    effort = QUICK if chosen.quick else FULL
+    given = Conditions(particle_density=chosen.density, sun_irradiance=chosen.sun)
+    out = chosen.out / ("quick" if chosen.quick else "full")
+    out.mkdir(parents=True, exist_ok=True)
     if chosen.mesh is None:
         vertices, faces, _ = aircraft.generic_aircraft()
         mesh, temperature = jaxir.Mesh(vertices, faces), aircraft.skin_temperature(vertices, faces)
     else:
         mesh = load_mesh(chosen.mesh, unit=chosen.unit).mesh
         temperature = np.full(mesh.count, chosen.temperature)
-    scene = build_scene(mesh, temperature, chosen.emissivity, gray_plume())
+    nodes = jaxir.resolved_nodes(BANDS, *effort.bins)
+    made = scenes(mesh, temperature, nodes, given)
 
-    size = (chosen.pixels // 2, chosen.pixels)
-    pixel = 48.0 / chosen.pixels / 5000.0  # 48 m across: aircraft and plume
-    images = {}
-    for name, azimuth, elevation in (("side", 90.0, 0.0), ("above", 90.0, 60.0), ("rear quarter", 140.0, 20.0)):
-        camera = jaxir.perspective_camera(azimuth, elevation, 5000.0, pixel, size, target=(-15.0, 0.0, 0.0))
-        images[name] = jaxir.render(scene, camera, BANDS, samples=chosen.samples)
-        stem = chosen.out / name.replace(" ", "_")
-        save_image(stem.with_suffix(".npz"), images[name])
-        save_tiff(stem.with_suffix(".tif"), images[name])
-    radiance_panels(chosen.out / "images.png", images)
-    seconds = time.perf_counter() - began
+    began = time.perf_counter()
+    seen = images(made, nodes, effort, given)
+    for name, image in seen.items():
+        stem = out / name.replace(", ", "_")
+        save_image(stem.with_suffix(".npz"), image)
+        save_tiff(stem.with_suffix(".tif"), image)
+    radiance_panels(out / "images.png", seen)
+    after_images = time.perf_counter()
+    views = None if chosen.quick else out / "views"
+    if views is not None:
+        views.mkdir(exist_ok=True)
+    tables = signatures(made, nodes, effort, given, views)
+    for (name, place, axis), table in tables.items():
+        save_signature(out / f"{name}_{place}_{axis}.csv", table)
+        polar_signature(out / f"{name}_{place}_{axis}.png", table)
+    after_views = time.perf_counter()
+    side = from_the_side(made, nodes, min(effort.depth, given.depth))
+    said = conclusions(tables, side)
+    said += ["what decides it:", *cooler_exhaust(made["plain"], nodes, side["plain"].skin)]
 
-    around = np.arange(0.0, 360.0, 10.0)
-    table = jaxir.signature(scene, np.stack([around, np.zeros_like(around)], 1), BANDS, distance=5000.0)
-    save_signature(chosen.out / "intensity.csv", table)
-    polar_signature(chosen.out / "intensity.png", table)
-
-    side = images["side"]
-    intensity, error = np.asarray(side.radiant_intensity()), np.asarray(side.intensity_error())
-    said = ", ".join(f"{b} {i:.4g} ± {e:.1g}" for b, i, e in zip(side.bands, intensity, error, strict=True))
-    total = time.perf_counter() - began
-    print(
-        f"broadside at 5 km [W/sr]: {said}; {seconds:.1f} s for three images, {total:.1f} s in all; see {chosen.out}/"
-    )
+    worst = {
+        " ".join(key): float(np.max(np.asarray(table.standard_error) / np.abs(np.asarray(table.intensity))))
+        for key, table in tables.items()
+    }
+    report = {
+        "conditions": dataclasses.asdict(given) | {"exhaust_speed_m_s": exhaust(given)[1], "mesh": chosen.mesh},
+        "effort": dataclasses.asdict(effort) | {"nodes": nodes.count},
+        "versions": {"jaxir": version("jaxir"), "jax": jax.__version__, "python": platform.python_version()},
+        "seconds": {"images": after_images - began, "signatures": after_views - after_images},
+        "largest relative standard error of an intensity": worst,
+        "share of the intensity beyond the last order, at most": {
+            " ".join(key): float(np.max(np.asarray(table.missing))) for key, table in tables.items()
+        },
+        "conclusions": said,
+    }
+    with written_whole(out / "report.json") as part:
+        part.write_text(json.dumps(report, indent=1))
+    print("\n".join(said))
+    print(f"{time.perf_counter() - began:.0f} s on {nodes.count} nodes; see {out}/")
 
 
 if __name__ == "__main__":

@@ -82,7 +82,7 @@ def test_a_pilot_of_all_chunks_is_the_image():
     nodes = enforce(as_nodes(jaxir.LWIR), SUNLIT.checks())
     optical = compiled_radiometry(SUNLIT, nodes)
     key = jax.random.key(5)
-    seen = pilot(Pass(optical, CAMERA, key, pixel_strata(4), method_of(SUNLIT, None, CellSum())))
+    seen = pilot(Pass(optical, CAMERA, key, pixel_strata(4), method_of(SUNLIT, None, None, CellSum())))
     image = jaxir.render(SUNLIT, CAMERA, jaxir.LWIR, samples=4, key=key)
     np.testing.assert_allclose(seen.intensity, image.radiant_intensity(), rtol=1e-5)
     np.testing.assert_allclose(seen.variance, image.intensity_error() ** 2, rtol=1e-4)

@@ -9,10 +9,12 @@ from jaxir.fit.parameter import Leaf as Leaf
 from jaxir.fit.parameter import PartValue as PartValue
 from jaxir.fit.parameter import part_emissivity as part_emissivity
 from jaxir.fit.parameter import part_temperature as part_temperature
+from jaxir.fit.prior import NormalPrior as NormalPrior
+from jaxir.fit.prior import SmoothPrior as SmoothPrior
+from jaxir.fit.problem import prepare as prepare
 from jaxir.fit.result import Fit as Fit
 from jaxir.fit.result import Uncertainty as Uncertainty
+from jaxir.fit.sensitivity import sensitivity as sensitivity
 from jaxir.fit.solve import expected_uncertainty as expected_uncertainty
 from jaxir.fit.solve import fit as fit
-from jaxir.fit.solve import prepare as prepare
-from jaxir.fit.solve import sensitivity as sensitivity
 from jaxir.fit.solve import solve as solve

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, float_dtype
 from jaxir.scene.scene import Scene
 
 Where = Callable[[Scene], Any]
@@ -67,11 +67,19 @@ class Bounds(eqx.Module):
 
 
 class AbstractParameter(eqx.Module):
-    """A named vector of numbers that a fit may change in a scene."""
+    """A named vector of numbers that a fit may change in a scene.
+
+    Attributes:
+        name: how results are labelled.
+        where: picks the leaf, as in `equinox.tree_at`.
+        bounds: limits.
+        unit: for the table.
+    """
 
     name: eqx.AbstractVar[str]
-    unit: eqx.AbstractVar[str]
+    where: eqx.AbstractVar[Where]
     bounds: eqx.AbstractVar[Bounds]
+    unit: eqx.AbstractVar[str]
 
     @abc.abstractmethod
     def read(self, scene: Scene) -> Float[Array, " k"]:
@@ -83,24 +91,12 @@ class AbstractParameter(eqx.Module):
 
 
 class Leaf(AbstractParameter):
-    """Every number of one leaf of the scene.
-
-    Attributes:
-        name: how results are labelled.
-        where: picks the leaf, as in `equinox.tree_at`; one array.
-        bounds: limits.
-        unit: for the table.
-    """
+    """Every number of one leaf of the scene; unbounded unless told otherwise. Attributes as `AbstractParameter`."""
 
     name: str = eqx.field(static=True)
     where: Where = eqx.field(static=True)
-    bounds: Bounds
-    unit: str = eqx.field(static=True)
-
-    def __init__(self, name: str, where: Where, bounds: Bounds | None = None, unit: str = ""):
-        """Keep; unbounded by default."""
-        self.name, self.where, self.unit = name, where, unit
-        self.bounds = Bounds() if bounds is None else bounds
+    bounds: Bounds = Bounds()
+    unit: str = eqx.field(static=True, default="")
 
     def read(self, scene: Scene) -> Float[Array, " k"]:
         """See `AbstractParameter.read`."""
@@ -115,23 +111,15 @@ class PartValue(AbstractParameter):
     """One value of a per-face leaf [face or 1, ...] for all faces of one part of the skin.
 
     Attributes:
-        name: how results are labelled.
-        where: picks the leaf.
+        name, where, bounds, unit: as `AbstractParameter`.
         part: the part's name, among `Skin.part_names`.
-        bounds: limits.
-        unit: for the table.
     """
 
     name: str = eqx.field(static=True)
     where: Where = eqx.field(static=True)
-    part: str = eqx.field(static=True)
-    bounds: Bounds
-    unit: str = eqx.field(static=True)
-
-    def __init__(self, name: str, where: Where, part: str, bounds: Bounds | None = None, unit: str = ""):
-        """Keep; unbounded by default."""
-        self.name, self.where, self.part, self.unit = name, where, part, unit
-        self.bounds = Bounds() if bounds is None else bounds
+    bounds: Bounds = Bounds()
+    unit: str = eqx.field(static=True, default="")
+    part: str = eqx.field(static=True, kw_only=True)
 
     def _faces(self, scene: Scene) -> Array:
         if scene.skin is None or self.part not in scene.skin.part_names:
@@ -155,43 +143,35 @@ class PartValue(AbstractParameter):
 
 
 class Factor(AbstractParameter):
-    """One factor, 1 at the start, on a leaf of the scene as it stands: scales a field and keeps its form.
+    """One factor, 1 at the start, on leaves of the scene as they stand: scales a field and keeps its form.
 
     Attributes:
-        name: how results are labelled.
-        where: picks the leaf.
-        bounds: limits; positive by default.
-        unit: for the table.
+        name, bounds, unit: as `AbstractParameter`; positive unless told otherwise.
+        where: picks one leaf, or several as a tuple, such as the mole fractions of one exhaust.
     """
 
     name: str = eqx.field(static=True)
     where: Where = eqx.field(static=True)
-    bounds: Bounds
-    unit: str = eqx.field(static=True)
-
-    def __init__(self, name: str, where: Where, bounds: Bounds | None = None, unit: str = ""):
-        """Keep; positive by default."""
-        self.name, self.where, self.unit = name, where, unit
-        self.bounds = Bounds(0.0) if bounds is None else bounds
+    bounds: Bounds = Bounds(0.0)
+    unit: str = eqx.field(static=True, default="")
 
     def read(self, scene: Scene) -> Float[Array, " k"]:
         """See `AbstractParameter.read`: 1."""
-        return jnp.ones((1,), self.where(scene).dtype)
+        return jnp.ones((1,), float_dtype())
 
     def write(self, scene: Scene, value: Float[Array, " k"]) -> Scene:
         """See `AbstractParameter.write`."""
-        leaf = self.where(scene)
-        return eqx.tree_at(self.where, scene, leaf * value.reshape((1,) * leaf.ndim))
+        return eqx.tree_at(self.where, scene, replace_fn=lambda leaf: leaf * value.reshape((1,) * leaf.ndim))
 
 
 def part_emissivity(part: str) -> PartValue:
     """Emissivity of a part of a `Lambert` skin, between 0 and 1."""
-    return PartValue(f"emissivity of {part}", _emissivity, part, Bounds(0.0, 1.0))
+    return PartValue(f"emissivity of {part}", _emissivity, Bounds(0.0, 1.0), part=part)
 
 
 def part_temperature(part: str) -> PartValue:
     """Temperature of a part of the skin, positive."""
-    return PartValue(f"temperature of {part}", _temperature, part, Bounds(0.0), "K")
+    return PartValue(f"temperature of {part}", _temperature, Bounds(0.0), "K", part=part)
 
 
 def _emissivity(scene: Any) -> Any:  # also called on scenes whose leaves stand for themselves
@@ -251,7 +231,8 @@ class Coordinates(eqx.Module):
         """A unit for every number."""
         return tuple(p.unit for p, size in zip(self.parameters, self.sizes, strict=True) for _ in range(size))
 
-    def _pieces(self, vector: Array) -> list[Array]:
+    def pieces(self, vector: Float[Array, " p"]) -> list[Array]:
+        """The numbers of each parameter."""
         ends = [sum(self.sizes[: i + 1]) for i in range(len(self.sizes))]
         return [vector[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
 
@@ -261,13 +242,13 @@ class Coordinates(eqx.Module):
 
     def values(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
         """Physical values at z. Differentiable."""
-        pieces = zip(self.parameters, self._pieces(z), strict=True)
+        pieces = zip(self.parameters, self.pieces(z), strict=True)
         return jnp.concatenate([p.bounds.to_value(piece, p.read(self.start)) for p, piece in pieces])
 
     def scene(self, values: Float[Array, " p"]) -> Scene:
         """The scene with physical values. Differentiable."""
         scene = self.start
-        for parameter, piece in zip(self.parameters, self._pieces(values), strict=True):
+        for parameter, piece in zip(self.parameters, self.pieces(values), strict=True):
             scene = parameter.write(scene, piece)
         return scene
 
@@ -279,7 +260,7 @@ class Coordinates(eqx.Module):
 def at_values(coordinates: Coordinates, values: Any) -> Float[Array, " p"]:
     """z of given physical values [p] inside the bounds."""
     vector = as_float(values, "values")
-    pieces = coordinates._pieces(vector)
+    pieces = coordinates.pieces(vector)
     z = []
     for p, piece in zip(coordinates.parameters, pieces, strict=True):
         if math.isinf(p.bounds.lower):

@@ -118,11 +118,15 @@ class Fit(eqx.Module):
             [row, band].
         chi_squared: sum of squared residuals, priors included, without the robust loss [].
         degrees_of_freedom: measured numbers and priors less fitted numbers.
-        sampling_shift: one draw of the error that the finite number of rays puts into each value, from the two
-            independent halves of the rays [p]; compare it with the standard deviation.
+        sampling_error: standard error that the finite number of rays puts into each value, from the two independent
+            halves of the rays of every row [p]; compare it with the standard deviation. With few rows it is a rough
+            estimate.
         sampling_chi_squared: by how much the sampling error of the prediction raises `chi_squared` [].
         steps: of the solver, for the start that was best.
-        starts: chi-squared reached from every start [start].
+        starts: loss reached from every start with the rays traced first [start].
+        rounds: how often rays were traced.
+        effective_share: of the directions that the traced brdf drew, for the fitted one; 1 where none were drawn [].
+        drifted: whether rays should have been traced once more.
         solver_result: optimistix's result code of the best start.
     """
 
@@ -131,10 +135,13 @@ class Fit(eqx.Module):
     residual: tuple[Float[Array, "row band"], ...]
     chi_squared: Float[Array, ""]
     degrees_of_freedom: int = eqx.field(static=True)
-    sampling_shift: Float[Array, " p"]
+    sampling_error: Float[Array, " p"]
     sampling_chi_squared: Float[Array, ""]
     steps: int = eqx.field(static=True)
     starts: Float[Array, " start"]
+    rounds: int = eqx.field(static=True)
+    effective_share: Float[Array, ""]
+    drifted: bool = eqx.field(static=True)
     solver_result: optx.RESULTS
 
     @property
@@ -144,7 +151,7 @@ class Fit(eqx.Module):
 
     def __str__(self) -> str:
         """A table, the goodness of fit and every warning."""
-        shift = np.abs(np.asarray(self.sampling_shift))
+        shift = np.asarray(self.sampling_error)
         spread = np.asarray(self.uncertainty.standard_deviation)
         ratio = float(np.max(np.where(np.isfinite(spread) & (spread > 0), shift / np.where(spread > 0, spread, 1), 0)))
         lines = [
@@ -152,6 +159,8 @@ class Fit(eqx.Module):
             f"chi-squared {float(self.chi_squared):.4g} for {self.degrees_of_freedom} degrees of freedom, "
             f"of which {float(self.sampling_chi_squared):.2g} from the finite number of rays",
             f"rays put at most {ratio:.2g} standard deviations into a value",
+            f"rays traced {self.rounds} times, {100 * float(self.effective_share):.0f} % of sampled directions count"
+            + ("; they suit the solution badly: allow more rounds" if self.drifted else ""),
             f"solver: {'converged' if self.converged else optx.RESULTS[self.solver_result]} after {self.steps} steps",
         ]
         return "\n".join(lines)

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key, Shaped
 
 from jaxir._arrays import Check, as_float, enforce, finite, positive, require_shape
 from jaxir.geometry.ray import Bundle
@@ -77,7 +77,7 @@ class Camera(eqx.Module):
         """The rays through screen points, starting on the plane `start` [m] in front of the target."""
         return Bundle(self.target, self.frame, self.inverse_range, start, screen)
 
-    def untile(self, value: Float[Array, "tile pixel *field"]) -> Float[Array, "row column *field"]:
+    def untile(self, value: Shaped[Array, "tile pixel *field"]) -> Shaped[Array, "row column *field"]:
         """An image [row, column, ...] from values per tile and pixel, tiles row by row."""
         rows, columns = self.tiles
         field = value.shape[2:]

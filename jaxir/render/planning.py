@@ -249,9 +249,7 @@ def _by_particles(scene: Scene, method: Method) -> list[Term]:
     orders = method.scattering.orders
     if orders == 0:
         return [Term("Particles", True, f"{once}light scattered more often is left out, as asked")]
-    sentence = (
-        f"{once}the rest sampled by forced collision up to {orders} times; `Image.missing` tells what that leaves"
-    )
+    sentence = f"{once}the rest sampled by forced collision up to {orders} times; `Image.missing` tells the rest"
     return [Term("Particles", False, sentence)]
 
 

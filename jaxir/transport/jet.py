@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float, enforce
 from jaxir._vector import frame_around
@@ -108,6 +108,12 @@ def _chord(jet: JetPlume, origin: Float[Array, " 3"], direction: Float[Array, " 
     decay = jnp.where(oblique, (jet.core_end - view.along) / jnp.where(oblique, view.slope, 1), low)
     first, second = (_cut(jet, view, *piece, decay) for piece in ((low, core_low), (core_high, high)))
     return _Chord(view, jnp.stack([low, first, core_low, core_high, second, high]))
+
+
+def meets_jet(jet: JetPlume, rays: Rays, t_max: Float[Array, " ray"]) -> Bool[Array, " ray"]:
+    """Whether rays enter the jet before `t_max` [ray] [m]; the jet changes nothing on any other."""
+    cuts = jax.vmap(_chord, in_axes=(None, 0, 0, 0))(jet, rays.origin, rays.direction, t_max).cuts
+    return cuts[:, 0] < cuts[:, -1]
 
 
 def _cut(jet: JetPlume, view: AxisView, begin: Array, end: Array, decay: Array) -> Array:

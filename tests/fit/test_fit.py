@@ -12,6 +12,7 @@ from jaxir.fit import (
     Bounds,
     Factor,
     Leaf,
+    NormalPrior,
     expected_uncertainty,
     fit,
     measured_image,
@@ -131,7 +132,7 @@ def test_starts_priors_and_a_robust_loss(survey):
     spoiled[2, 0] *= 3.0  # one gross error
     start = body([0.6, 0.6, 0.6], [330, 330, 330])
     measured = measured_intensity(start, VIEWS, BANDS, spoiled, spread, shape=(32, 32))
-    prior = {"emissivity of front": (0.3, 0.02)}
+    prior = {"emissivity of front": NormalPrior(0.3, 0.02)}
     starts = [[0.2, 0.8, 0.5, 250, 400, 300]]
     robust = fit(start, PARTS, [measured], robust=2.0, priors=prior, starts=starts, max_steps=100)
     squares = fit(start, PARTS, [measured], priors=prior, max_steps=100)
@@ -197,8 +198,11 @@ def _face_sum(temperature, scene, azimuth, elevation):
         (lambda m: fit(slab(900, 1), [DEPTH, DEPTH], [m]), "no name twice"),
         (lambda m: fit(slab(900, 1), [DEPTH], []), "measurements: got none"),
         (lambda m: fit(slab(900, 1), [DEPTH], [m], robust=0.0), "robust: got 0.0"),
-        (lambda m: fit(slab(900, 1), [DEPTH], [m], priors={"x": (1, 1)}), "priors: got 'x'"),
-        (lambda m: fit(slab(900, 1), [DEPTH], [m], priors={"depth": (1, 0)}), "priors: got standard deviation 0"),
+        (lambda m: fit(slab(900, 1), [DEPTH], [m], priors={"x": NormalPrior(1, 1)}), "priors: got 'x'"),
+        (
+            lambda m: fit(slab(900, 1), [DEPTH], [m], priors={"depth": NormalPrior(1, 0)}),
+            "NormalPrior.standard_deviation: got 0",
+        ),
         (lambda m: fit(slab(900, 1), [DEPTH], [m], starts=[[-1.0]]), "starts: got depth outside its bounds"),
         (lambda m: fit(slab(900, 1), [DEPTH], [m], starts=[1.0]), r"starts: got shape \(1,\)"),
         (

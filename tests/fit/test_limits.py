@@ -1,0 +1,191 @@
+"""What a fit says of its limits: combinations not determined, noise of its rays, drift, solvers that fail."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+import scipy.stats
+
+import jaxir
+from jaxir.fit import (
+    Bounds,
+    Factor,
+    Leaf,
+    NormalPrior,
+    SmoothPrior,
+    expected_uncertainty,
+    fit,
+    measured_image,
+    measured_intensity,
+    part_emissivity,
+    prepare,
+    sensitivity,
+    solve,
+)
+from jaxir.transport.drift import density_ratio, effective_share
+from jaxir.transport.paths import trace
+from tests.scenes import gray_box, plate
+
+PIXEL = jaxir.orthographic_camera(0.0, 0.0, 0.1, (1, 1))
+TEMPERATURE = Factor("temperature", lambda s: s.plume.temperature)
+DEPTH = Factor("depth", lambda s: s.plume.gas.coefficient)
+THREE = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
+
+
+def slab(temperature, depth):
+    return jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), depth, (1, 1, 1), temperature))
+
+
+def looked_at(scene, bands):
+    radiance = np.asarray(jaxir.render(scene, PIXEL, bands, samples=2).radiance)
+    return measured_image(PIXEL, bands, radiance, 0.01 * radiance)
+
+
+def flagged(temperature, depth, bands):
+    scene = slab(temperature, depth)
+    return bool(expected_uncertainty(scene, [TEMPERATURE, DEPTH], [looked_at(scene, bands)]).undetermined())
+
+
+def test_what_is_not_determined_is_always_flagged():
+    # one band gives one number for two unknowns; beyond depth 5 the closed form gives the depth 67 % and more
+    one_band = [(t, d, (jaxir.MWIR,)) for t in (600.0, 800.0, 1000.0, 1400.0, 1800.0) for d in (0.01, 1.0)]
+    thick = [(t, d, (jaxir.MWIR, jaxir.LWIR)) for t in (800.0, 1000.0, 1200.0, 1500.0, 1800.0) for d in (6.0, 8.0)]
+    assert [flagged(*case) for case in one_band + thick] == 20 * [True]
+
+
+def test_what_is_determined_is_never_flagged():
+    cases = [(t, d, THREE) for t in (700.0, 900.0, 1100.0, 1400.0, 1800.0) for d in (0.1, 0.3, 1.0, 1.5)]
+    assert [flagged(*case) for case in cases] == 20 * [False]
+
+
+LAMP = jaxir.DiscSource((1.0, 0.5, 0.5), (-1.0, 0.0, 0.0), 0.6, 2000.0)
+FRONT = [(-60, 0), (-30, 20), (0, 0), (0, 40), (30, -20), (60, 10)]
+
+
+def lit_plate(brdf):
+    return jaxir.Scene(jaxir.Skin(plate().mesh, 400.0, brdf), sources=(LAMP,))
+
+
+@pytest.mark.parametrize(
+    "reflection", [jaxir.Reflection(jaxir.LightSampling(1)), jaxir.Reflection()], ids=["lights", "both"]
+)
+def test_ten_keys_end_as_far_apart_as_the_fit_says(reflection):
+    truth = lit_plate(jaxir.Lambert(0.4))
+    exact = jaxir.signature(truth, FRONT, jaxir.MWIR, shape=(16, 16), reflection=jaxir.Reflection(jaxir.ClosedForm()))
+    value = np.asarray(exact.intensity)
+    start = lit_plate(jaxir.Lambert(0.7))
+    measured = measured_intensity(start, FRONT, jaxir.MWIR, value, 0.01 * value, shape=(16, 16), reflection=reflection)
+    found = [fit(start, [part_emissivity("skin")], [measured], key=jax.random.key(k)) for k in range(10)]
+    got = np.array([float(f.uncertainty.value[0]) for f in found])
+    said = np.array([float(f.sampling_error[0]) for f in found])
+    assert 0 < said.max() < 0.02  # power: the ten would notice an error of a few per cent
+    # variances of ten values and of ten times six rows: 9 and about 60 degrees of freedom
+    low, high = scipy.stats.f(9, 60).ppf([5e-4, 1 - 5e-4])
+    assert low < np.var(got, ddof=1) / np.mean(said**2) < high
+    assert abs(got.mean() - 0.4) < 4 * np.sqrt(np.mean(said**2) / 10)
+
+
+def test_the_effective_share_of_directions_is_kish_s():
+    first, second = (lit_plate(jaxir.RoughConductor(2.0, 10.0, a)) for a in (0.3, 0.6))
+    reflection = jaxir.Reflection(jaxir.BrdfSampling(4))
+    rays = jaxir.orthographic_camera(20.0, 10.0, 0.1, (4, 4)).bundle(jnp.zeros((64, 2)), jnp.asarray(2.0)).rays()
+    paths = trace(first, rays, reflection, jax.random.key(1))
+    same = density_ratio(paths, reflection, first, first)
+    other = density_ratio(paths, reflection, first, second)
+    drawn = np.asarray(same) > 0
+    np.testing.assert_allclose(np.asarray(same)[drawn], 1)
+    assert 10 < drawn.sum() and float(effective_share(same)) == pytest.approx(1)
+    w = np.asarray(other)[drawn]
+    share = float(effective_share(other))
+    assert share == pytest.approx(w.sum() ** 2 / (w.size * (w**2).sum()), rel=1e-5) and 0 < share < 0.95
+    lights = jaxir.Reflection(jaxir.LightSampling(1))
+    assert density_ratio(trace(first, rays, lights, jax.random.key(1)), lights, first, second).size == 0
+    assert float(effective_share(jnp.zeros(0))) == 1
+
+
+def jet(temperature, length):
+    return jaxir.Scene(
+        plume=jaxir.JetPlume(
+            (0, 0, 0), (-1, 0, 0), 0.5, temperature, 250.0, jaxir.GrayGas(0.5), length=length, panels=2
+        )
+    )
+
+
+AROUND = [(20, 0), (90, 0), (140, 30), (200, -20)]
+TWO = (jaxir.MWIR, jaxir.LWIR)
+JET = [
+    Leaf("exit temperature", lambda s: s.plume.exit_temperature, Bounds(0.0), "K"),
+    Leaf("length", lambda s: s.plume.length, Bounds(0.0), "diameters"),
+]
+
+
+def test_a_jet_that_outgrows_its_images_is_traced_again():
+    value = np.asarray(jaxir.signature(jet(1200.0, 16.0), AROUND, TWO, shape=(64, 64)).intensity)
+    start = jet(900.0, 8.0)
+    measured = measured_intensity(start, AROUND, TWO, value, 0.01 * value, shape=(64, 64))
+    problem = prepare(start, JET, [measured])
+    assert problem.thins
+    once, often = solve(problem, rounds=1), solve(problem)
+    assert once.rounds == 1 and once.drifted and "allow more rounds" in str(once)
+    assert often.rounds > 1 and not often.drifted
+    np.testing.assert_allclose(often.uncertainty.value, [1200.0, 16.0], rtol=0.02)
+    assert float(often.chi_squared) < 1 < float(once.chi_squared)
+
+
+def test_fewer_rays_stand_for_all_in_the_derivatives_of_a_jet():
+    scene = jet(1200.0, 16.0)
+    measured = measured_intensity(scene, AROUND, TWO, np.ones((4, 2)), 1.0, shape=(64, 64))
+    problem = prepare(scene, JET[:1], [measured])
+    observed = problem.observations[0]
+    few, all_rays = (int((part.weight > 0).sum()) for part in (observed.thinned, observed.through))
+    assert few < 0.2 * all_rays
+    z = problem.coordinates.origin()
+    slopes = [jax.jvp(f, (z,), (jnp.ones_like(z),))[1] for f in (problem.thinned, problem.residual)]
+    np.testing.assert_allclose(slopes[0], slopes[1], rtol=0.05)
+
+
+def test_a_solver_that_fails_keeps_the_best_point_and_says_so():
+    truth = slab(1000.0, 1.0)
+    problem = prepare(slab(400.0, 3.0), [TEMPERATURE, DEPTH], [looked_at(truth, THREE)])
+    before = float(jnp.sum(problem.residual(problem.coordinates.origin()) ** 2))
+    found = solve(problem, max_steps=1)
+    assert not found.converged and "converged" not in str(found).splitlines()[-1]
+    assert float(found.chi_squared) <= before
+    wild = solve(problem, solver=optx.GradientDescent(1e9, 1e-6, 1e-6), max_steps=5)
+    assert np.isfinite(np.asarray(wild.uncertainty.value)).all() and float(wild.chi_squared) <= before
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda m: fit(slab(900, 1), [DEPTH], [m], rounds=0), "rounds: got 0, expected an integer >= 1"),
+        (lambda m: measured_image(PIXEL, THREE, np.ones((1, 1, 3)), -1.0), "standard_deviation: got -1.0"),
+        (lambda m: NormalPrior([1.0], 1.0), r"NormalPrior.mean: got shape \(1,\)"),
+        (lambda m: SmoothPrior((2, 2), np.nan), "SmoothPrior.standard_deviation: got nan"),
+        (
+            lambda m: fit(slab(900, 1), [DEPTH], [m], priors={"depth": SmoothPrior((2, 2), 1.0)}),
+            r"SmoothPrior.shape: got \(2, 2\), expected a field of the parameter's 1 numbers",
+        ),
+        (lambda m: sensitivity(slab(900, 1), m, "MWIR"), "got band 'MWIR' and no skin"),
+        (lambda m: sensitivity(jaxir.Scene(plate()), m, "UV"), "got band 'UV' and Lambert skin"),
+        (
+            lambda m: sensitivity(lit_plate(jaxir.RoughConductor(2.0, 10.0, 0.3)), m, "MWIR"),
+            "RoughConductor skin; expected one of",
+        ),
+    ],
+)
+def test_wrong_input_is_named(build, message):
+    with pytest.raises(ValueError, match=message):
+        build(looked_at(slab(900.0, 1.0), THREE))
+
+
+def test_a_smooth_prior_fills_what_the_data_leave_open():
+    prior = SmoothPrior((2, 3), 2.0)
+    value = jnp.arange(6.0) ** 2
+    assert prior.count(6) == prior.residual(value).size == 7
+    field = np.arange(6.0).reshape(2, 3) ** 2
+    steps = np.concatenate([np.diff(field, axis=0).ravel(), np.diff(field, axis=1).ravel()])
+    np.testing.assert_allclose(prior.residual(value), steps / 2)
+    assert eqx.tree_equal(prior.residual(jnp.full(6, 3.0)), jnp.zeros(7))
