@@ -41,7 +41,7 @@ from jaxir.scene.air_path import StandardAtmosphere, TableAtmosphere, UniformAtm
 from jaxir.scene.atmosphere import FixedPath
 from jaxir.scene.background import BlackbodyBackground, UniformBackground
 from jaxir.scene.jet import JetPlume
-from jaxir.scene.near_source import DiscSource, PointSource, SphereSource
+from jaxir.scene.near_source import DiscSource, PointSource, PolygonSource, SphereSource
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.sky import ElevationTable
 from jaxir.scene.source import ParallelSource
@@ -121,6 +121,7 @@ SOURCES: dict[str, Callable] = {
     "ParallelSource": ParallelSource,
     "PointSource": PointSource,
     "DiscSource": DiscSource,
+    "PolygonSource": PolygonSource,
     "SphereSource": SphereSource,
 }
 BACKGROUNDS: dict[str, Callable] = {
