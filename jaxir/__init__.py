@@ -60,6 +60,7 @@ from jaxir.scene.background import UniformBackground as UniformBackground
 from jaxir.scene.jet import JetPlume as JetPlume
 from jaxir.scene.near_source import DiscSource as DiscSource
 from jaxir.scene.near_source import PointSource as PointSource
+from jaxir.scene.near_source import PolygonSource as PolygonSource
 from jaxir.scene.near_source import SphereSource as SphereSource
 from jaxir.scene.plume import GridPlume as GridPlume
 from jaxir.scene.scene import Scene as Scene

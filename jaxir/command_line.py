@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxir import plot
 from jaxir.geometry.camera import Camera
-from jaxir.io.afsim import save_afsim
+from jaxir.io.afsim import require_full_table, save_afsim
 from jaxir.io.files import written_whole
 from jaxir.io.results import Conditions, require_suffix, save_image, save_netcdf, save_signature, save_tiff
 from jaxir.io.scene_files import SceneFile, load_scene
@@ -251,6 +251,8 @@ def _signature(arguments: argparse.Namespace) -> None:
     read = _read(arguments.scene)
     if "views" not in read.signature:
         raise ValueError(f"{read.file}: got no key signature.views, expected it for signature")
+    if any(path.suffix == ".txt" for path in outputs):
+        _of(read, lambda: require_full_table(read.signature["views"], read.bands.names))
     for quantity, label in quantities.items():
         scene, began = _scene_of(read, quantity), time.perf_counter()
         table = _of(read, lambda s=scene: signature(s, bands=read.bands, **_light(read), **read.signature))

@@ -22,21 +22,24 @@ class Baseline(NamedTuple):
 
 
 def finite_differences(residual: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> Baseline:
-    """scipy.optimize.least_squares with finite differences on given residuals; compilation apart."""
+    """scipy.optimize.least_squares with finite differences on given residuals; compilation apart.
+
+    It moves 1 + z - start, because its steps are relative and some coordinates start at 0.
+    """
     z = np.asarray(start)
     log: list[tuple[float, float]] = []
 
     def call(at: np.ndarray) -> np.ndarray:
-        r = np.asarray(residual(at.astype(z.dtype)), np.float64)
+        r = np.asarray(residual((at - 1 + z).astype(z.dtype)), np.float64)
         log.append((time.perf_counter(), float(r @ r)))
         return r
 
-    call(z)
+    call(np.ones(z.shape))
     log.clear()
     began = time.perf_counter()
-    found = scipy.optimize.least_squares(call, z.astype(np.float64), diff_step=1e-3, xtol=1e-6, ftol=1e-6)
+    found = scipy.optimize.least_squares(call, np.ones(z.shape), diff_step=1e-3, xtol=1e-6, ftol=1e-6)
     at, cost = np.array(log).T
-    return Baseline(found.x.astype(z.dtype), time.perf_counter() - began, len(log), at - began, cost)
+    return Baseline((found.x - 1 + z).astype(z.dtype), time.perf_counter() - began, len(log), at - began, cost)
 
 
 def timed_solve(problem: Problem, **settings) -> tuple[Fit, float, float]:

@@ -11,7 +11,7 @@ import numpy as np
 
 import jaxir
 from jaxir.fit import measured_intensity, sensitivity
-from jaxir.io.results import save_face_values
+from jaxir.io.maps import save_face_values
 from studies import aircraft
 from studies.charts import out_folder
 

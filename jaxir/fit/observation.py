@@ -33,7 +33,7 @@ from jaxir.transport.reflection import Reflection, reflection_of
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 SLICE = 64  # rays in a slice, at most
-THIN = 64  # rays of each half of a row that suffice for derivatives of a jet
+THIN = 60  # rays of each half of a row that suffice for derivatives of a jet; with rounding one slice
 EVEN = 0.1  # share of them spread evenly, the rest where the radiance is
 
 
@@ -177,8 +177,8 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
     elif scene.plume is not None and (scene.sources or reflection_of(scene, measurement.reflection) is not None):
         crosses = crosses | on_skin  # the plume dims or sends the light that the skin reflects
     through = _gather(rays, np.flatnonzero(crosses))
-    beside = _merged(scene, measurement, _gather(rays, np.flatnonzero(on_skin & ~crosses)))
     bare = scene if scene.skin is None or scene.plume is None else eqx.tree_at(lambda s: s.plume, scene, None)
+    beside = _merged(bare, measurement, _gather(rays, np.flatnonzero(on_skin & ~crosses)))
     full = _ray_sum(scene, measurement, through, key)
     thinned = _ray_sum(scene, measurement, _thinned(scene, measurement, full), key)
     return Observation(measurement, scene, full, thinned, _ray_sum(bare, measurement, beside, key))
@@ -302,8 +302,9 @@ def _thinned(scene: Scene, measurement: Measurement, through: RaySum | None) -> 
     scaled[free[kept]] *= picks[kept] / (THIN * share[kept])
     index = np.concatenate([np.flatnonzero((face >= 0) & (weight > 0)), free[kept]])
     rays = jax.tree.map(lambda leaf: leaf.reshape(-1, 3)[index], through.paths.rays)
-    row, met = (jnp.asarray(x[index], jnp.int32) for x in (group, face))
-    return _ViewRays(rays, jnp.asarray(scaled[index], through.weight.dtype), row, met, jnp.ones(index.size, bool))
+    group_of, face_of = (jnp.asarray(x[index], jnp.int32) for x in (group, face))
+    scaled_weight = jnp.asarray(scaled[index], through.weight.dtype)
+    return _ViewRays(rays, scaled_weight, group_of, face_of, jnp.ones(index.size, bool))
 
 
 def _share(part: np.ndarray, of: np.ndarray) -> np.ndarray:

@@ -191,10 +191,9 @@ Walked = tuple[Array, Array, Array, optx.RESULTS]
 
 
 class _Walk(eqx.Module):
-    """How one walk of the solver goes: on which residuals, from which step [standard deviations], how far."""
+    """How one walk of the solver goes: on which residuals, and to which tolerance."""
 
     logarithmic: Bool[Array, " walk"]
-    stride: Float[Array, " walk"]
     rtol: Float[Array, " walk"]
     atol: Float[Array, " walk"]
 
@@ -203,8 +202,8 @@ class _Walk(eqx.Module):
 def _solve(problem: Problem, first: Array, size: Array, solver: Any, max_steps: int) -> Walked:
     """Solve from every start: ends, losses, steps, results.
 
-    The solver moves w = (z - z_begin) * size / stride: a unit step moves the residuals by about `stride` standard
-    deviations whatever the parameter, so damping and tolerances mean the same for all of them. A first walk on the
+    The solver moves w = (z - z_begin) * size: a unit step moves the residuals by about one standard deviation
+    whatever the parameter, so damping and tolerances mean the same for all of them. A first walk on the
     logarithmic residuals leads near the solution, the next on the ordinary ones to it. Where derivatives are taken on
     fewer rays, the solver walks on those rays' residuals plus an offset, by which they differ from those of all rays
     where the walk begins; a second such walk leaves a thousandth of the difference. All walks are one compiled loop.
@@ -220,7 +219,7 @@ def _solve(problem: Problem, first: Array, size: Array, solver: Any, max_steps: 
             offset = lax.cond(how.logarithmic, lambda: jnp.zeros_like(ahead), lambda: problem.residual(begin) - ahead)
 
         def residual(w: Array) -> Array:
-            r = problem.thinned(begin + w * how.stride / size) + offset
+            r = problem.thinned(begin + w / size) + offset
             return problem.robustly(jnp.where(how.logarithmic, problem.logarithmic(r), r))
 
         chosen = optx.LevenbergMarquardt(how.rtol, how.atol) if solver is None else solver  # type: ignore[arg-type]
@@ -228,17 +227,16 @@ def _solve(problem: Problem, first: Array, size: Array, solver: Any, max_steps: 
         found: optx.Solution = optx.least_squares(
             lambda w, _: function(w), chosen, jnp.zeros_like(begin), max_steps=max_steps, throw=False
         )
-        end = begin + found.value * how.stride / size
+        end = begin + found.value / size
         kept = jnp.where(jnp.isfinite(end).all(), end, begin)
         return kept, (found.stats["num_steps"], found.result)
 
     def one(start: Array) -> Walked:
         walks = 3 if problem.thins else 2
         how = _Walk(
-            jnp.array([True, False, False][:walks]),
-            as_float([1.0, 1.0, 1.0][:walks]),
-            as_float([1e-2, 1e-6, 1e-6][:walks]),
-            as_float([1e-1, 1e-2, 1e-2][:walks]),
+            jnp.arange(walks) == 0,
+            as_float([1e-2, *(walks - 2) * [1e-3], 1e-6]),
+            as_float([1e-1, *(walks - 2) * [1e-1], 1e-2]),
         )
         end, (steps, results) = lax.scan(walk, start, how)
         before, after = loss(start), loss(end)

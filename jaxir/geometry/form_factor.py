@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxir._vector import dot
+from jaxir.geometry.sampling import polygon_vector
 
 
 def disc_vector(
@@ -89,7 +90,6 @@ def polygon_form_factor(
     """
     begin = corners - point[None]
     end = jnp.roll(begin, -1, axis=0)
-    normal = jnp.cross(corners[1] - corners[0], corners[2] - corners[0])
     h0, h1 = begin @ receiver, end @ receiver
     crosses = (h0 > 0) != (h1 > 0)
     part = jnp.where(crosses, h0 / jnp.where(crosses, h0 - h1, 1), 0)
@@ -102,7 +102,7 @@ def polygon_form_factor(
     entry_point = jnp.sum(jnp.where(entering[:, None], cut, 0), axis=0)
     total = jnp.sum(jnp.where(kept, _edge(first, last, receiver), 0))
     total = total + _edge(exit_point[None], entry_point[None], receiver)[0]
-    return jnp.where(dot(normal, begin[0]) < 0, jnp.maximum(-total, 0) / (2 * jnp.pi), 0)
+    return jnp.where(dot(polygon_vector(corners), begin[0]) < 0, jnp.maximum(-total, 0) / (2 * jnp.pi), 0)
 
 
 def _edge(

@@ -115,7 +115,37 @@ def sample_triangle(u: Float[Array, " 2"]) -> Float[Array, " 3"]:
 
 def pdf_triangle(corners: Float[Array, "3 3"]) -> Float[Array, ""]:
     """Density of `sample_triangle` on the triangle with these corners: 1 / area [m-2]; 0 without area."""
-    vector = jnp.cross(corners[1] - corners[0], corners[2] - corners[0]) / 2
+    return pdf_polygon(corners)
+
+
+def polygon_vector(corners: Float[Array, "corner 3"]) -> Float[Array, " 3"]:
+    """Area vector of a plane polygon [3] [m2]: 1/2 sum_k c_k x c_k+1, which sees it counterclockwise."""
+    spokes = corners[1:] - corners[:1]
+    return jnp.sum(jnp.cross(spokes[:-1], spokes[1:]), axis=0) / 2
+
+
+def sample_polygon(u: Float[Array, " 2"], corners: Float[Array, "corner 3"]) -> Float[Array, " 3"]:
+    """A point uniform in area on a convex plane polygon [3] [m].
+
+    The fan of triangles about the first corner: the first number chooses one by its area, and what is left of that
+    number is uniform again. Differentiable in corners.
+    """
+    vector = polygon_vector(corners)
+    spokes = corners[1:] - corners[:1]
+    share = jnp.cross(spokes[:-1], spokes[1:]) @ vector / 2
+    total = jnp.sum(share)
+    there = total > 0
+    reached = jnp.cumsum(share) / jnp.where(there, total, 1)
+    chosen = jnp.minimum(jnp.sum((u[0] >= reached).astype(jnp.int32)), share.shape[0] - 1)
+    width = share[chosen] / jnp.where(there, total, 1)
+    left = (u[0] - (reached[chosen] - width)) / jnp.where(width > 0, width, 1)
+    weights = sample_triangle(jnp.stack([jnp.clip(left, 0, 1), u[1]]))  # rounding alone leads out of [0, 1]
+    return weights @ jnp.stack([corners[0], corners[chosen + 1], corners[chosen + 2]])
+
+
+def pdf_polygon(corners: Float[Array, "corner 3"]) -> Float[Array, ""]:
+    """Density of `sample_polygon`: 1 / area [m-2]; 0 without area."""
+    vector = polygon_vector(corners)
     square = dot(vector, vector)
     there = square > 0
     return jnp.where(there, lax.rsqrt(jnp.where(there, square, 1)), 0)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -46,9 +47,7 @@ def save_afsim(path: str | os.PathLike, signature: Signature, name: str, conditi
     require_suffix(path, ".txt")
     if not re.fullmatch(r"\w[\w-]*", name):
         raise ValueError(f"name: got {name!r}, expected letters, digits, _ and -")
-    known = len(signature.bands) == 1 or all(band in BANDS for band in signature.bands)
-    if not known:
-        raise ValueError(f"bands: got {', '.join(signature.bands)}, expected one, or some of {', '.join(BANDS)}")
+    require_full_table(np.stack([signature.azimuth, signature.elevation], axis=1), signature.bands)
     azimuth, elevation, table = _full_table(signature)
     lines = [f"# {label}: {' '.join(str(value).split())}" for label, value in (conditions or {}).items()]
     lines += [f"infrared_signature {name}", "   state default"]
@@ -65,6 +64,21 @@ def save_afsim(path: str | os.PathLike, signature: Signature, name: str, conditi
         part.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
 
 
+def require_full_table(views: np.ndarray, bands: Sequence[str]) -> None:
+    """Raise `ValueError` unless aspects [view, 2] [deg] and bands can become a table of AFSIM."""
+    if len(bands) > 1 and not all(band in BANDS for band in bands):
+        raise ValueError(f"bands: got {', '.join(bands)}, expected one, or some of {', '.join(BANDS)}")
+    if (views[:, 0] < -180).any() or (views[:, 0] > 360).any() or (np.abs(views[:, 1]) > 90).any():
+        raise ValueError("views: got angles beyond, expected azimuths in -180 ... 360 and elevations in -90 ... 90")
+    turned = {(azimuth % 360, elevation) for azimuth, elevation in views.tolist()}
+    azimuths, elevations = ({aspect[axis] for aspect in turned} for axis in (0, 1))
+    if len(azimuths) < 2 or len(elevations) < 2 or len(turned) != len(azimuths) * len(elevations):
+        raise ValueError(
+            f"views: got {len(turned)} aspects of {len(azimuths)} azimuths and {len(elevations)} elevations, expected "
+            "every combination for AFSIM, at least two of each"
+        )
+
+
 def _row(head: str, values: np.ndarray) -> str:
     return f"{head:>20}" + "".join(f" {value:>14.7g}" for value in values)
 
@@ -72,8 +86,6 @@ def _row(head: str, values: np.ndarray) -> str:
 def _full_table(signature: Signature) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rising azimuths as AFSIM counts them, rising elevations, and intensities [azimuth, elevation, band]."""
     given = np.stack([np.asarray(signature.azimuth), np.asarray(signature.elevation)], axis=1).astype(np.float64)
-    if (given[:, 0] < -180).any() or (given[:, 0] > 360).any() or (np.abs(given[:, 1]) > 90).any():
-        raise ValueError("views: got angles beyond, expected azimuths in -180 ... 360 and elevations in -90 ... 90")
     turned = np.where(given[:, 0] > 180, given[:, 0] - 360, given[:, 0])
     intensity = np.asarray(signature.intensity, np.float64)
     if not (intensity >= 0).all():
@@ -88,10 +100,5 @@ def _full_table(signature: Signature) -> tuple[np.ndarray, np.ndarray, np.ndarra
             if (one, angle) in held:
                 held.setdefault((other, angle), held[one, angle])
     azimuth = np.unique([key[0] for key in held])
-    if azimuth.size < 2 or elevation.size < 2 or len(held) != azimuth.size * elevation.size:
-        raise ValueError(
-            f"views: got {len(held)} aspects of {azimuth.size} azimuths and {elevation.size} elevations, expected "
-            "every combination, at least two of each"
-        )
     table = np.array([[held[a, e] for e in elevation.tolist()] for a in azimuth.tolist()])
     return azimuth, elevation, table

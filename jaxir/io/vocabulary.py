@@ -48,7 +48,7 @@ from jaxir.scene.air_path import StandardAtmosphere, TableAtmosphere, UniformAtm
 from jaxir.scene.atmosphere import FixedPath
 from jaxir.scene.background import BlackbodyBackground, UniformBackground
 from jaxir.scene.jet import JetPlume
-from jaxir.scene.near_source import DiscSource, PointSource, SphereSource
+from jaxir.scene.near_source import DiscSource, PointSource, PolygonSource, SphereSource
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.sky import ElevationTable
 from jaxir.scene.source import ParallelSource
@@ -174,6 +174,7 @@ SOURCES: dict[str, Callable] = {
     "ParallelSource": ParallelSource,
     "PointSource": PointSource,
     "DiscSource": DiscSource,
+    "PolygonSource": PolygonSource,
     "SphereSource": SphereSource,
 }
 BACKGROUNDS: dict[str, Callable] = {

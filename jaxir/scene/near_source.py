@@ -1,4 +1,4 @@
-"""Lights at a finite distance: a point, a disc, a sphere.
+"""Lights at a finite distance: a point, a disc, a polygon, a sphere.
 
 Each is a leaf module of numbers with methods for one point of the skin. Lights are seen by the skin only: a camera
 does not see them, and they cast no shadow.
@@ -12,11 +12,20 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import Check, as_float, finite, non_negative, positive, require_shape, unit_vector
 from jaxir._vector import dot
-from jaxir.geometry.sampling import pdf_disc, pdf_from_area, sample_cap, sample_disc, sphere_drop
+from jaxir.geometry.sampling import (
+    pdf_disc,
+    pdf_from_area,
+    pdf_polygon,
+    polygon_vector,
+    sample_cap,
+    sample_disc,
+    sample_polygon,
+    sphere_drop,
+)
 from jaxir.optics.band import Nodes
 from jaxir.scene.source import AbstractDeltaSource, per_node, spectral
 
@@ -124,10 +133,7 @@ class DiscSource(AbstractAreaSource):
 
     def meet(self, point: Float[Array, " 3"], omega_i: Float[Array, " 3"]) -> Arrival:
         """See `AbstractAreaSource.meet`."""
-        slope = dot(omega_i, self.normal)
-        height = dot(self.centre - point, self.normal)
-        ahead = (slope < 0) & (height < 0)
-        distance = jnp.where(ahead, height / jnp.where(ahead, slope, 1), 0)
+        distance, ahead = _to_plane(point, omega_i, self.centre, self.normal)
         apart = point + distance * omega_i - self.centre
         met = ahead & (dot(apart, apart) <= self.radius * self.radius)
         pdf = pdf_from_area(pdf_disc(self.radius), omega_i, distance, self.normal)
@@ -144,6 +150,80 @@ class DiscSource(AbstractAreaSource):
             unit_vector("DiscSource.normal", self.normal),
             positive("DiscSource.radius", self.radius),
             non_negative("DiscSource.radiance", self.radiance),
+        ]
+
+
+class PolygonSource(AbstractAreaSource):
+    """A flat convex plate with straight edges that shines on one side.
+
+    Attributes:
+        corners: counterclockwise seen from the side that shines [corner, 3] [m]; at least three, in one plane.
+        radiance: [node or 1] [W m-2 sr-1].
+
+    Differentiable in `radiance`, and in `corners` where no shadow moves.
+    """
+
+    corners: Float[Array, "corner 3"]
+    radiance: Float[Array, " node"]
+
+    def __init__(self, corners: Any, radiance: Any):
+        """Convert; `radiance` is one value or one per node.
+
+        Raises:
+            ValueError: fewer than three corners.
+        """
+        self.corners = as_float(corners, "PolygonSource.corners")
+        require_shape("PolygonSource.corners", self.corners, ("corner", 3))
+        if self.corners.shape[0] < 3:
+            raise ValueError(f"PolygonSource.corners: got {self.corners.shape[0]} corners, expected at least 3")
+        self.radiance = spectral("PolygonSource.radiance", radiance)
+
+    @property
+    def normal(self) -> Float[Array, " 3"]:
+        """Unit normal of the side that shines [3]; 0 without area."""
+        return polygon_vector(self.corners) * pdf_polygon(self.corners)
+
+    def sample(self, u: Float[Array, " 2"], point: Float[Array, " 3"]) -> Arrival:
+        """See `AbstractAreaSource.sample`; uniform in area."""
+        omega_i, distance = _toward(sample_polygon(u, self.corners) - point)
+        lit = dot(omega_i, self.normal) < 0
+        pdf = pdf_from_area(pdf_polygon(self.corners), omega_i, distance, self.normal)
+        return Arrival(omega_i, distance, jnp.where(lit, pdf, 0))
+
+    def meet(self, point: Float[Array, " 3"], omega_i: Float[Array, " 3"]) -> Arrival:
+        """See `AbstractAreaSource.meet`."""
+        normal = self.normal
+        distance, ahead = _to_plane(point, omega_i, self.corners[0], normal)
+        inward = jnp.cross(normal[None], jnp.roll(self.corners, -1, axis=0) - self.corners)
+        apart = (point + distance * omega_i)[None] - self.corners
+        met = ahead & jnp.all(jnp.sum(inward * apart, axis=-1) >= 0)
+        pdf = pdf_from_area(pdf_polygon(self.corners), omega_i, distance, normal)
+        return Arrival(omega_i, jnp.where(met, distance, jnp.inf), jnp.where(met, pdf, 0))
+
+    def emitted(self, nodes: Nodes) -> Float[Array, " node"]:
+        """See `AbstractAreaSource.emitted`."""
+        return per_node("PolygonSource.radiance", self.radiance, nodes)
+
+    def checks(self) -> list[Check]:
+        """The corners span an area, lie in one plane and in convex position, the radiance is not negative.
+
+        Tolerance: 1e-5 of the polygon's size, and the rounding of the coordinates.
+        """
+        spokes = self.corners - self.corners[:1]
+        size = jnp.max(jnp.abs(spokes))
+        grain = 1e-5 * size + 16 * jnp.finfo(size.dtype).eps * jnp.max(jnp.abs(self.corners))
+        vector, normal = polygon_vector(self.corners), self.normal
+        area = jnp.sqrt(dot(vector, vector))
+        edge = jnp.roll(self.corners, -1, axis=0) - self.corners
+        # over[k, j] is edge k's length times how far corner j lies on its inner side
+        inward = jnp.cross(normal[None], edge)
+        over = jnp.sum(inward[:, None] * (self.corners[None] - self.corners[:, None]), axis=-1)
+        return [
+            finite("PolygonSource.corners", self.corners),
+            Check("area of PolygonSource.corners", area, area > grain * size, "corners that span an area"),
+            Check("PolygonSource.corners", self.corners, jnp.abs(spokes @ normal) <= grain, "corners in one plane"),
+            Check("PolygonSource.corners", self.corners, jnp.all(over >= -grain * size, axis=0), "a convex polygon"),
+            non_negative("PolygonSource.radiance", self.radiance),
         ]
 
 
@@ -207,6 +287,16 @@ class SphereSource(AbstractAreaSource):
         outside = dot(offset, offset) > self.radius * self.radius
         distance = jnp.where(outside, along - chord, along + chord)
         return jnp.where(met & (distance > 0), distance, jnp.inf)
+
+
+def _to_plane(
+    point: Float[Array, " 3"], omega_i: Float[Array, " 3"], origin: Float[Array, " 3"], normal: Float[Array, " 3"]
+) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """Distance along a ray to a plane that shines along its normal, and whether the ray meets that side of it."""
+    slope = dot(omega_i, normal)
+    height = dot(origin - point, normal)
+    ahead = (slope < 0) & (height < 0)
+    return jnp.where(ahead, height / jnp.where(ahead, slope, 1), 0), ahead
 
 
 def _cap_density(drop: Float[Array, ""]) -> Float[Array, ""]:

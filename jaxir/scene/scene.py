@@ -26,8 +26,9 @@ class Scene(eqx.Module):
     Attributes:
         skin: opaque surface.
         plume: emitting and absorbing gas.
-        sources: lights, without extent (`ParallelSource`, `PointSource`) and with (`DiscSource`, `SphereSource`, or
-            a background). They light skin and particles; a camera does not see them, and they cast no shadow.
+        sources: lights, without extent (`ParallelSource`, `PointSource`) and with (`DiscSource`, `PolygonSource`,
+            `SphereSource`, or a background). They light skin and particles; a camera does not see them, and they cast
+            no shadow.
         background: what rays see that meet nothing.
         atmosphere: the path from the target to the sensor.
     """

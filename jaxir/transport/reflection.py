@@ -15,7 +15,7 @@ from jaxir.geometry.mesh import Mesh, face_normal
 from jaxir.geometry.sampling import AbstractSampler, Independent
 from jaxir.optics.brdf import Lambert
 from jaxir.scene.background import AbstractBackground, AbstractUniformBackground
-from jaxir.scene.near_source import AbstractAreaSource, DiscSource
+from jaxir.scene.near_source import AbstractAreaSource, DiscSource, PolygonSource
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import spectral
 
@@ -104,10 +104,11 @@ class MultipleImportance(AbstractDirect):
 
 
 class ClosedForm(AbstractDirect):
-    """No samples: form factors of discs and of a uniform background over convex Lambert skin.
+    """No samples: form factors of discs, polygons and of a uniform background over convex Lambert skin.
 
-    Applies only where it is exact: each disc lies wholly above or wholly below the plane of every face, the skin is
-    flat, or closed, convex and seen from outside (so nothing hides a light), and there is no plume.
+    Applies only where it is exact: each disc lies wholly above or wholly below the plane of every face (polygons may
+    cross it), the skin is flat, or closed, convex and seen from outside (so nothing hides a light), and there is no
+    plume.
     """
 
     def counts(self) -> tuple[int, int]:
@@ -125,9 +126,10 @@ class ClosedForm(AbstractDirect):
             )
         lights = (*scene.area_sources, *scene.surroundings)
         for light in lights:
-            if not isinstance(light, (DiscSource, AbstractUniformBackground)):
+            if not isinstance(light, (DiscSource, PolygonSource, AbstractUniformBackground)):
                 raise ValueError(
-                    f"ClosedForm: got {type(light).__name__}, expected DiscSources and a uniform background; sample it"
+                    f"ClosedForm: got {type(light).__name__}, expected DiscSources, PolygonSources and a uniform "
+                    "background; sample it"
                 )
         mesh = scene.skin.mesh
         rise, grain = concavity(mesh)
@@ -135,7 +137,8 @@ class ClosedForm(AbstractDirect):
         convex = "0: skin closed and convex, or flat"
         checks = [Check("ClosedForm: rise of vertices over a face [m]", rise, rise <= grain, convex)]
         for disc in scene.area_sources:
-            assert isinstance(disc, DiscSource)
+            if not isinstance(disc, DiscSource):
+                continue
             above = jnp.stack([_above(corner, side * normal, disc) for side in (1, -1)])
             checks.append(
                 Check(

@@ -7,14 +7,18 @@ import pytest
 from chi_square import p_value
 
 from jaxir._arrays import enforce
-from jaxir.geometry.form_factor import disc_vector
+from jaxir.geometry.form_factor import disc_vector, polygon_form_factor
 from jaxir.optics.band import LWIR, MWIR, gray_nodes
-from jaxir.scene.near_source import DiscSource, PointSource, SphereSource
+from jaxir.scene.near_source import DiscSource, PointSource, PolygonSource, SphereSource
 from jaxir.scene.sky import ElevationTable
 
 POINT = np.array([0.2, -0.1, 0.3])
 DOWN = np.array([0.0, 0.0, -1.0])
+# clockwise from above, so it shines down; unequal triangles in the fan, one corner on an edge
+PENTAGON = np.array([[-0.5, -0.4, 1.2], [-0.6, 0.1, 1.2], [-0.7, 0.6, 1.2], [0.5, 1.0, 1.2], [0.9, -0.6, 1.2]])
 LIGHTS = {
+    "polygon": PolygonSource(PENTAGON, 100.0),
+    "polygon tilted": PolygonSource([[0.9, -2.0, 2.0], [0.9, 2.0, 2.0], [1.8, 0.0, -2.0]], [1.0, 2.0]),
     "disc": DiscSource([0.5, 0.5, 1.8], DOWN, 1.0, 100.0),
     "disc tilted": DiscSource([2.0, 0.0, 0.0], [-0.8, 0.0, 0.6], 1.5, [1.0, 2.0]),
     "sphere": SphereSource([1.0, 1.0, 1.0], 0.5, 3.0),
@@ -60,6 +64,21 @@ def test_irradiance_from_a_disc_is_its_form_factor(x64):
     assert np.all(error < 0.01 * np.linalg.norm(want))
 
 
+def test_irradiance_from_a_polygon_is_its_form_factor(x64):
+    """By sampling the light: mean of cos / pdf within 4 standard errors of pi F, also where the horizon cuts it."""
+    polygon, point = PolygonSource(PENTAGON, 100.0), jnp.asarray(POINT)
+    u = jax.random.uniform(jax.random.key(6), (40000, 2))
+    drawn = jax.vmap(lambda u: polygon.sample(u, point))(u)
+    for receiver in (np.array([0.0, 0.0, 1.0]), np.array([0.96, 0.0, 0.28])):
+        cos = np.asarray(drawn.omega_i) @ receiver
+        value = np.maximum(cos, 0) / np.asarray(drawn.pdf)
+        error = value.std() / np.sqrt(len(u))
+        want = np.pi * float(polygon_form_factor(point, jnp.asarray(receiver), polygon.corners))
+        assert (cos < 0).any() == (receiver[2] < 1)
+        assert abs(value.mean() - want) < 4 * error
+        assert error < 0.01 * want
+
+
 def test_point_source_falls_with_the_square(precision):
     lamp = PointSource([0.0, 0.0, 2.0], [8.0, 4.0])
     np.testing.assert_allclose(lamp.beam(gray_nodes((MWIR, LWIR)), jnp.zeros(3)), [2.0, 1.0], rtol=1e-6)
@@ -71,10 +90,11 @@ def test_point_source_falls_with_the_square(precision):
 @pytest.mark.parametrize("where", ["at", "inside", "behind", "edge-on"])
 def test_awkward_points_give_no_light_and_finite_gradients(where, precision):
     """At the light itself, inside a ball, behind a disc, in a disc's plane."""
-    lamp, disc, ball = (
+    lamp, disc, ball, plate = (
         PointSource([0.0, 0, 1], 1.0),
         DiscSource([0.0, 0, 1], DOWN, 1.0, 1.0),
         SphereSource([0.0, 0, 1], 0.5, 1.0),
+        PolygonSource([[0.0, 0, 1], [0, 1, 1], [1, 0, 1]], 1.0),
     )
     point = jnp.asarray(
         {"at": [0, 0, 1.0], "inside": [0.1, 0, 1.1], "behind": [0, 0, 2.0], "edge-on": [3.0, 0, 1]}[where]
@@ -82,21 +102,22 @@ def test_awkward_points_give_no_light_and_finite_gradients(where, precision):
 
     nodes = gray_nodes((MWIR,))
 
-    def light(lamp, disc, ball, point):
+    def light(lamp, disc, ball, plate, point):
         u = jnp.asarray([0.3, 0.6])
         total = jnp.sum(lamp.beam(nodes, point)) + jnp.sum(lamp.toward(point)[0])
-        for source in (disc, ball):
+        for source in (disc, ball, plate):
             drawn = source.sample(u, point)
             met = source.meet(point, jnp.asarray([0.0, 0.6, 0.8]))
             total = total + drawn.pdf + met.pdf + jnp.sum(drawn.omega_i) + drawn.distance
             total = total + jnp.where(jnp.isfinite(met.distance), met.distance, 0)
         return total
 
-    value, gradient = jax.value_and_grad(light, argnums=(0, 1, 2, 3))(lamp, disc, ball, point)
+    value, gradient = jax.value_and_grad(light, argnums=(0, 1, 2, 3, 4))(lamp, disc, ball, plate, point)
     assert np.isfinite(value)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
     if where in ("behind", "edge-on", "at"):
         assert disc.sample(jnp.asarray([0.3, 0.6]), point).pdf == 0
+        assert plate.sample(jnp.asarray([0.3, 0.6]), point).pdf == 0
     if where == "at":
         assert np.all(np.asarray(lamp.beam(nodes, point)) == 0)
 
@@ -109,6 +130,20 @@ def test_bad_lights_are_refused():
         enforce(zero, DiscSource(POINT, [0.0, 0.0, 2.0], 1.0, 1.0).checks())
     with pytest.raises(ValueError, match="SphereSource.radius"):
         enforce(zero, SphereSource(POINT, -1.0, 1.0).checks())
+    with pytest.raises(ValueError, match="PolygonSource.corners: got 2 corners"):
+        PolygonSource([[0.0, 0, 0], [1, 0, 0]], 1.0)
+    square = np.array([[0.0, 0, 1], [0, 1, 1], [1, 1, 1], [1, 0, 1]])
+    for corners, wrong in [
+        (square + [[0, 0, 0], [0, 0, 0.01], [0, 0, 0], [0, 0, 0]], "in one plane"),
+        (square * [1.0, 0.0, 1.0], "span an area"),
+        (square[[0, 2, 1, 3]], "span an area"),
+        (np.array([[0.0, 0, 1], [0, 1, 1], [0.1, 0.1, 1], [1, 0, 1]]), "a convex polygon"),
+    ]:
+        with pytest.raises(ValueError, match=wrong):
+            enforce(zero, PolygonSource(corners, 1.0).checks())
+    enforce(zero, PolygonSource(PENTAGON + [[1e3, 0, 0]], 1.0).checks())
+    with pytest.raises(ValueError, match="PolygonSource.radiance"):
+        enforce(zero, PolygonSource(square, -1.0).checks())
     with pytest.raises(ValueError, match="intensity"):
         enforce(zero, PointSource(POINT, [1.0, -1.0]).checks())
     with pytest.raises(ValueError, match="PointSource.position"):

@@ -99,6 +99,24 @@ def light_moments(point, count=400):
     return 0.5 / np.pi * 100.0 * cos, square / cos / np.pi, cos / np.pi, np.pi * cos / square / count**2
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.3])
+def test_a_polygon_of_light_is_the_square_of_heat(shift):
+    """A source where the hot square was; shifted, the walls of one reach below the plate, where its horizon cuts."""
+    corners = np.array([[0.5, -0.5, 1.0], [0.5, 0.5, 1.0], [0.5, 0.5, -shift], [0.5, -0.5, -shift]])
+    points = 0.9 * raster(24)
+    scene = jaxir.Scene(plate(), sources=(jaxir.PolygonSource(corners, 100.0),))
+    exact, sampled = Reflection(ClosedForm()), Reflection(MultipleImportance(32, 32), sampler=Sobol())
+    enforce(NODES, exact.checks(scene))
+    want = np.asarray(look(scene, rays_down(points), exact, jax.random.key(1)), float)
+    difference = np.asarray(look(scene, rays_down(points), sampled, jax.random.key(1)), float) - want
+    error = difference.std() / np.sqrt(difference.size)
+    assert abs(difference.mean()) < 4 * error
+    assert error < 0.005 * want.mean()
+    # O4: perpendicular unit squares with a common edge
+    whole = np.asarray(look(scene, rays_down(raster(128)), exact, jax.random.key(1)), float)
+    assert whole.mean() == pytest.approx(50.0 * 0.200043776075, rel=1e-3)
+
+
 @pytest.mark.parametrize("way", ["brdf", "light", "both"])
 def test_variance_of_each_strategy_is_its_closed_form(way):
     """Brdf sampling: (1 - p) / p of the squared mean with p the chance to hit; the others by quadrature."""

@@ -162,8 +162,9 @@ def test_skin_lights_particles_and_shades_them():
         (jaxir.DiscSource([0.0, 0.0, 1.5], [0.0, 0.0, -1.0], 1.0, 3.0), 3.0 * 2 * np.pi * (1 - np.sqrt(0.5))),
         (jaxir.SphereSource([0.0, 0.0, 2.5], 1.0, 3.0), 3.0 * 2 * np.pi * (1 - np.sqrt(0.75))),
         (jaxir.ParallelSource([0.0, 0.0, -1.0], 5.0), 5.0),
+        (jaxir.UniformBackground(3.0), 3.0 * 4 * np.pi),
     ],
-    ids=["point", "disc", "sphere", "parallel"],
+    ids=["point", "disc", "sphere", "parallel", "sky that is not seen"],
 )
 def test_lights_reach_particles(source, arriving):
     """A thin cloud sends on irradiance, or radiance times solid angle, evenly; 1e-3 for its size."""

@@ -1,0 +1,74 @@
+"""Every code block of the documentation does what it says: Python runs, scene files are read, commands succeed."""
+
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from jaxir.command_line import main
+from jaxir.io.scene_files import load_scene
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(path for path in (ROOT / "docs").glob("*.md"))
+MADE_BY_HAND = ("python3 -m venv", ".venv/bin/pip")  # the steps of an installation
+
+
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def test_every_block_is_of_a_kind_that_is_run():
+    for page in PAGES:
+        kinds = set(re.findall(r"^```(\w+)$", page.read_text(encoding="utf-8"), re.MULTILINE))
+        assert kinds <= {"python", "sh", "toml", "text"}, page
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.stem)
+def test_python(page, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    held = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, page.name, "exec"), held)
+
+
+def sections(text):
+    """The text of every section of a scene file, sub-sections included, by name."""
+    found, name = {}, None
+    for line in text.splitlines():
+        header = re.match(r"\[+(\w+)|(\w+) =", line)
+        if header and (header[1] or name is None):
+            name = header[1] or header[2]
+        if name is not None:
+            found.setdefault(name, []).append(line)
+    return {name: "\n".join(lines) for name, lines in found.items()}
+
+
+def test_scene_files_are_read(tmp_path, monkeypatch):
+    """Each block replaces the sections of its name in the first, and what results is a scene."""
+    monkeypatch.setattr("jaxir.io.scene_files.resolve_jet", lambda jet, bands, tolerance: jet)  # has its own tests
+    shutil.copy(ROOT / "examples" / "aircraft.obj", tmp_path)
+    first, *others = blocks(ROOT / "docs" / "scene_files.md", "toml")
+    assert len(others) > 5
+    base = sections(first)
+    for block in (first, *others):
+        changed = {**base, **sections(block)}
+        assert set(sections(block)) == set(tomllib.loads(block))
+        changed = {"bands": changed.pop("bands"), **changed}
+        (tmp_path / "scene.toml").write_text("\n".join(changed.values()))
+        load_scene(tmp_path / "scene.toml")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")], ids=lambda page: page.stem)
+def test_commands(page, tmp_path, monkeypatch):
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    monkeypatch.chdir(tmp_path)
+    lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
+    for line in lines:
+        words = line.split()
+        if words[:3] == ["python", "-m", "jaxir"]:
+            assert main(words[3:]) == 0, line
+            assert all(Path(name).is_file() for flag, name in zip(words, words[1:], strict=False) if flag == "-o")
+        else:
+            assert line.startswith(MADE_BY_HAND), line
