@@ -113,6 +113,7 @@ class Pass(NamedTuple):
         return jnp.asarray(chunk, jnp.int32) + count * jnp.arange(self.size, dtype=jnp.int32)
 
 
+@eqx.filter_jit
 def whole_image(taken: Pass, parts: Estimate) -> Image:
     """The image of the estimates of all chunks, stacked."""
     camera = taken.camera

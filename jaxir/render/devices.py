@@ -73,6 +73,10 @@ def over_items(
         rows = _rows(items, devices.size)
         stacked = lax.map(lambda row: _on_devices(function, inputs, row, devices), rows)
         return jax.tree.map(lambda leaf: leaf.reshape((-1,) + leaf.shape[2:])[: items.shape[0]], stacked)
+    if devices is None:
+        bar = tqdm(items, desc=label, delay=5, leave=False)
+        results = [jax.block_until_ready(function(inputs, item)) for item in bar]
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *results)
     parts = [part for _, part in item_by_item(function, inputs, items, label, devices)]
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
