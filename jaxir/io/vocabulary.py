@@ -52,6 +52,7 @@ from jaxir.transport.reflection import (
     ClosedForm,
     LightSampling,
     MultipleImportance,
+    SkinLight,
 )
 
 
@@ -188,6 +189,7 @@ READERS: dict[str, Reader] = {
     "sampler": _of(SAMPLERS),
     "samples": integer,
     "shape": sizes,
+    "skin": _of({"SkinLight": SkinLight}),
     "unit": one_of(list(METRES)),
 }
 RENDER_READERS: dict[str, Reader] = {
