@@ -82,4 +82,5 @@ from jaxir.transport.reflection import ClosedForm as ClosedForm
 from jaxir.transport.reflection import LightSampling as LightSampling
 from jaxir.transport.reflection import MultipleImportance as MultipleImportance
 from jaxir.transport.reflection import Reflection as Reflection
+from jaxir.transport.reflection import SkinLight as SkinLight
 from jaxir.transport.scattering import Scattering as Scattering

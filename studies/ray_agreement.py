@@ -3,21 +3,25 @@
 Compares rays through 20 meshes (closed, open, not manifold, with slivers, with duplicates) with raw Embree. Every ray
 on which the two differ about hit or miss is settled by testing every face in double precision; its distance from the
 nearest edge, as a part of that face's longest edge, says whether rounding may excuse the difference. Then rays through
-shared vertices and edges of a closed body, over scales and distances, are counted: each must meet it. Writes a CSV.
+shared vertices and edges of a convex body, over scales, distances and slopes down to grazing, alone and in bundles:
+each must enter once and leave once. Writes two CSVs.
 """
 
 import argparse
 import csv
+import itertools
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from tqdm import tqdm
 
 import jaxir
-from jaxir.geometry.mesh import any_hit, closest_hit
-from jaxir.geometry.ray import Rays
+from jaxir.geometry.mesh import closest_hit
+from jaxir.geometry.ray import Bundle, Rays
+from jaxir.geometry.shadow import orthonormal
 from studies.ray_throughput import aircraft, embree, sphere
 
 EXCUSED = 1e-6  # distance from an edge, relative to the face, within which rounding decides
@@ -130,53 +134,120 @@ def compare(name: str, vertices: np.ndarray, faces: np.ndarray, count: int) -> d
     }
 
 
-def leaks(count: int) -> tuple[int, int]:
-    """Rays through shared vertices and edges of spheres that met nothing, and how many there were."""
+class Seams(NamedTuple):
+    """Points on the edges and at the vertices of a body; normals and least height of the faces around each."""
+
+    point: np.ndarray
+    normals: np.ndarray
+    height: np.ndarray
+
+    def clear(self, towards: np.ndarray, size: float) -> np.ndarray:
+        """Whether all faces around look at the eye, so that rounding cannot move a ray past their outline.
+
+        Rounding moves a ray by some eps times `size`; where it meets a face that is 1 / slope times more.
+        """
+        slope = np.min(np.einsum("sfi,si->sf", self.normals, towards), axis=1)
+        return slope * self.height > 20 * float(np.finfo(np.float32).eps) * size
+
+
+def seams(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> Seams:
+    """`count` random seams, a fifth of them vertices, with the faces around both ends of each edge."""
+    corners = vertices[faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled = np.linalg.norm(area, axis=1, keepdims=True)
+    height = doubled[:, 0] / np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    around: list[list[int]] = [[] for _ in vertices]
+    for face, triple in enumerate(faces):
+        for vertex in triple:
+            around[vertex].append(face)
+    ring = np.array([(of_vertex * 6)[:6] for of_vertex in around])
+    pick, corner = rng.integers(len(faces), size=count), rng.integers(3, size=count)
+    start, stop = faces[pick, corner], faces[pick, (corner + 1) % 3]
+    weight = rng.random((count, 1)) * (rng.random((count, 1)) < 0.8)
+    there = np.concatenate([ring[start], ring[stop]], axis=1)
+    point = vertices[start] * (1 - weight) + vertices[stop] * weight
+    return Seams(point, (area / doubled)[there], height[there].min(axis=1))
+
+
+def crossings(mesh: Any, rays: Rays | Bundle, sure: np.ndarray) -> dict[str, int]:
+    """How often rays enter and leave a convex body; those that are `sure` must do both, and none may do so again."""
+    enter = closest_hit(mesh, rays)
+    direction = rays.rays().direction if isinstance(rays, Bundle) else rays.direction
+    leave = closest_hit(mesh, Rays(enter.point, direction), leaving=enter.face)
+    again = closest_hit(mesh, Rays(leave.point, direction), leaving=leave.face)
+    first, second, third = (np.asarray(hit.face) >= 0 for hit in (enter, leave, again))
+    return {
+        "rays": int(np.sum(sure)),
+        "lost": int(np.sum(sure & ~first)),
+        "not left": int(np.sum(sure & first & ~second)),
+        "counted twice": int(np.sum(first & second & third)),
+    }
+
+
+def seam_rows(count: int) -> list[dict[str, Any]]:
+    """One row for each body, scale, distance and route."""
     rng = np.random.default_rng(0)
-    lost = total = 0
-    scales, ranges = (1e-3, 1.0, 1e3, 1e6), (1.0, 30.0, 12_000.0)
-    part = -(-count // (len(scales) * len(ranges)))
     vertices, faces = sphere(4)
-    for scale in scales:
-        body = np.asarray(vertices * scale, np.float32)
+    bodies = {"sphere": vertices, "disc": vertices * [1.0, 1.0, 0.01]}
+    cases = list(itertools.product(bodies, (1e-3, 1.0, 1e3, 1e6), (1.0, 30.0, 12_000.0)))
+    part = -(-count // (2 * len(cases)))
+    rows = []
+    for name, scale, distance in tqdm(cases, desc="seams"):
+        body = np.asarray(bodies[name] * scale, np.float32)
         mesh = jaxir.Mesh(body, faces)
-        exact = body.astype(np.float64)
-        for distance in ranges:
-            pick = rng.integers(len(faces), size=part)
-            weight = rng.random((part, 1)) * (rng.random((part, 1)) < 0.8)  # a fifth at vertices
-            target = exact[faces[pick, 0]] * (1 - weight) + exact[faces[pick, 1]] * weight
-            # from outside, over all slopes down to grazing, as far as the outline does not decide
-            normal = target / np.linalg.norm(target, axis=1, keepdims=True)
-            side = rng.normal(size=target.shape)
-            side -= np.sum(side * normal, axis=1, keepdims=True) * normal
-            side /= np.linalg.norm(side, axis=1, keepdims=True)
-            cosine = np.exp(rng.uniform(np.log(0.12), 0, (part, 1)))
-            towards = cosine * normal + np.sqrt(1 - cosine**2) * side
-            # as a camera sees it: float32 holds a point near the target, whatever the distance
-            origin = target + min(distance, 30.0) * scale * towards
-            rays = Rays(jnp.asarray(origin, jnp.float32), jnp.asarray(-towards, jnp.float32))
-            lost += int(np.sum(~np.asarray(any_hit(mesh, rays))))
-            total += part
-    return lost, total
+        at = seams(body.astype(np.float64), faces, part, rng)
+        label = {"body": name, "scale": scale, "range": distance}
+
+        # single rays towards each seam, from slopes down to grazing; they start near the body, as a camera's do,
+        # because float32 holds no seam of a body that is 12 km away
+        normal = at.normals[:, 0]
+        side = np.cross(normal, rng.normal(size=normal.shape))
+        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        cosine = np.exp(rng.uniform(np.log(1e-4), 0, (part, 1)))
+        towards = cosine * normal + np.sqrt(1 - cosine**2) * side
+        start = at.point + min(distance, 2.5 * scale) * towards
+        rays = Rays(jnp.asarray(start, jnp.float32), jnp.asarray(-towards, jnp.float32))
+        rows.append(label | {"route": "single"} | crossings(mesh, rays, at.clear(towards, 2.5 * scale)))
+
+        # one bundle, from a direction in which half of the seams are seen
+        axes = np.asarray(orthonormal(jnp.asarray(towards[0], jnp.float32)), np.float64)
+        inverse = 1 / max(distance, 2.5 * scale)
+        seen = at.point @ axes.T
+        screen = seen[:, :2] / (1 - seen[:, 2:] * inverse)
+        view = axes[2] - at.point * inverse
+        view /= np.linalg.norm(view, axis=1, keepdims=True)
+        cell = scale * 32 / np.sqrt(part)
+        order = np.lexsort((np.floor(screen[:, 0] / cell), np.floor(screen[:, 1] / cell)))
+        fields = (np.zeros(3), axes, inverse, 1.1 * scale, screen[order])
+        bundle = Bundle(*(jnp.asarray(x, jnp.float32) for x in fields))
+        rows.append(label | {"route": "bundle"} | crossings(mesh, bundle, at.clear(view, 2.5 * scale)[order]))
+    return rows
+
+
+def write(path: Path, rows: list[dict[str, Any]]) -> dict[str, int]:
+    """Write rows as CSV; the sums of their whole numbers."""
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return {key: sum(row[key] for row in rows) for key, value in rows[0].items() if type(value) is int}
 
 
 def main(argv: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m studies.ray_agreement", description=__doc__.split("\n")[0])
     parser.add_argument("--rays", type=int, default=1_000_000, help="through each mesh (%(default)s)")
-    parser.add_argument("--seams", type=int, default=10_000_000, help="rays at edges and vertices (%(default)s)")
+    parser.add_argument(
+        "--seams", type=int, default=24_000_000, help="at edges and vertices; half are clear (%(default)s)"
+    )
     parser.add_argument("--out", type=Path, default=Path("studies/out/ray_agreement"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)
     chosen.out.mkdir(parents=True, exist_ok=True)
     rows = [row for name, mesh in meshes().items() if (row := compare(name, *mesh, chosen.rays)) is not None]
     if rows:
-        with open(chosen.out / "agreement.csv", "w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-        total = {key: sum(row[key] for row in rows) for key in list(rows[0])[2:]}
+        total = write(chosen.out / "ray_agreement.csv", rows)
         print(f"{len(rows)} meshes: " + ", ".join(f"{key} {value}" for key, value in total.items()))
-    lost, count = leaks(chosen.seams)
-    print(f"{lost} of {count} rays at vertices and edges met nothing")
+    total = write(chosen.out / "ray_seams.csv", seam_rows(chosen.seams))
+    print("seams: " + ", ".join(f"{key} {value}" for key, value in total.items()))
 
 
 if __name__ == "__main__":

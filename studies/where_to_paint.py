@@ -36,7 +36,7 @@ def main() -> None:
     save_face_values(out / "emissivity.ply", mesh, per_area, name="mean dI/d(emissivity) per area", unit="W/sr/m2")
     save_face_values(out / "temperature.ply", mesh, by_temperature / area, name="mean dI/dT per area", unit="W/sr/K/m2")
     figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    limit = np.percentile(per_area, 99)
+    limit = np.percentile(per_area, 96)
     for axis, (name, azimuth, elevation) in zip(axes, (("above", 90, 89.9), ("rear quarter", 150, 20)), strict=True):
         face = np.asarray(jaxir.visible_faces(mesh, jaxir.orthographic_camera(azimuth, elevation, 0.06, (200, 290))))
         shown = np.where(face >= 0, per_area[np.maximum(face, 0)], np.nan)

@@ -64,8 +64,21 @@ def test_a_fit_s_report_names_its_parameters():
     found = uncertainty(("T", "e", "x"), ("K", "", ""), jnp.asarray([600.0, 0.5, 1.0]), jnp.ones(3), jacobian)
     residual = (jnp.linspace(-2, 2, 12).reshape(6, 2),)
     zero = jnp.zeros(())
-    scene, result = jaxir.Scene(plate()), optx.RESULTS.successful
-    fit = Fit(scene, found, residual, zero + 9, 10, jnp.zeros(3), zero, 5, jnp.zeros(1), result)
+    fit = Fit(
+        scene=jaxir.Scene(plate()),
+        uncertainty=found,
+        residual=residual,
+        chi_squared=zero + 9,
+        degrees_of_freedom=10,
+        sampling_error=jnp.zeros(3),
+        sampling_chi_squared=zero,
+        steps=5,
+        starts=jnp.zeros(1),
+        rounds=1,
+        effective_share=zero + 1,
+        drifted=False,
+        solver_result=optx.RESULTS.successful,
+    )
     values, residuals, correlations = plot.fit_report(fit).axes[:3]
     assert [text.get_text().split("\n")[0] for text in values.get_yticklabels()] == ["T", "e", "x"]
     assert len([p for p in values.patches if p.get_width() > 0]) == 2

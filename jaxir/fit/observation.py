@@ -33,7 +33,8 @@ from jaxir.transport.reflection import Reflection, reflection_of
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 SLICE = 64  # rays in a slice, at most
-THIN = 60  # rays of each half of a row that suffice for derivatives of a jet; with rounding one slice
+THIN = 60  # rays of each half of a row that lead a jet near the solution; with rounding one slice
+ROUND = 8  # slices of a chunk are a multiple of it, so that a few rays more or less compile nothing anew
 EVEN = 0.1  # share of them spread evenly, the rest where the radiance is
 
 
@@ -90,7 +91,7 @@ class Observation(eqx.Module):
         measurement: what was measured.
         scene: what was traced.
         through: rays on which a plume acts; None without.
-        thinned: fewer rays that stand for `through` in derivatives; None where all are needed.
+        thinned: fewer rays that stand for `through` on the way to a solution; None where all are needed.
         beside: rays that meet skin and on which no plume acts; None without.
     """
 
@@ -168,7 +169,7 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
         camera = jax.tree.map(lambda leaf, index=view: leaf[index], measurement.cameras)
         rays = _rays_of_view(scene, camera, jax.random.fold_in(key, view), measurement.samples)
         views.append(_with_rows(rays, view, measurement))
-    rays = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *views)
+    rays = jax.tree.map(lambda *leaves: np.concatenate(leaves), *views)
     crosses, on_skin = np.asarray(rays.crosses), np.asarray(rays.face) >= 0
     if not (crosses | on_skin).any():
         raise ValueError("measurement: got views in which no ray meets skin or plume, expected the scene in view")
@@ -245,14 +246,14 @@ def _with_rows(rays: _ViewRays, view: int, measurement: Measurement) -> _ViewRay
     """Groups and weights of a measurement; rays beyond an image's edge dropped."""
     rays = _gather(rays, np.flatnonzero(np.asarray(rays.group) >= 0))
     if measurement.per_pixel:
-        return eqx.tree_at(lambda r: r.weight, rays, jnp.full_like(rays.weight, 1 / measurement.samples))
+        return eqx.tree_at(lambda r: r.weight, rays, np.full_like(rays.weight, 1 / measurement.samples))
     pixels = measurement.cameras.shape[0] * measurement.cameras.shape[1]
     rows = measurement.value.shape[0]
-    return eqx.tree_at(lambda r: r.group, rays, view + rows * (rays.group >= pixels).astype(jnp.int32))
+    return eqx.tree_at(lambda r: r.group, rays, view + rows * (rays.group >= pixels).astype(np.int32))
 
 
 def _gather(rays: _ViewRays, index: np.ndarray) -> _ViewRays:
-    return jax.tree.map(lambda leaf: leaf[index], rays)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[index], rays)  # on the host: every number of rays is another
 
 
 def _merged(scene: Scene, measurement: Measurement, rays: _ViewRays) -> _ViewRays:
@@ -352,6 +353,7 @@ def _layout(group: np.ndarray, nodes: Nodes) -> tuple[np.ndarray, np.ndarray, np
     end = np.repeat(first + counts, slices)
     chunks = -(-begin.size * places * nodes.count // RAYS_BY_NODES)
     each = -(-begin.size // chunks)
+    each = -(-each // ROUND) * ROUND
     begin, end = (np.pad(edge, (0, chunks * each - edge.size)).reshape(chunks, each) for edge in (begin, end))
     place = begin[..., None] + np.arange(places)
     gap = place >= end[..., None]

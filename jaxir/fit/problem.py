@@ -67,11 +67,11 @@ class Problem(eqx.Module):
 
     @property
     def thins(self) -> bool:
-        """Whether derivatives need fewer rays than predictions."""
+        """Whether there are fewer rays that lead near a solution."""
         return any(o.thinned is not None for o in self.observations)
 
     def thinned(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
-        """As `residual`, of the fewer rays on which derivatives are taken."""
+        """As `residual`, of fewer rays."""
         scene = self.coordinates.scene(self.coordinates.values(z))
         halves = tuple(_deviation(o, o.predict_thinned(scene)) for o in self.observations)
         return self.stacked(halves, self.prior(z))

@@ -6,7 +6,7 @@ traced rays suit, they are traced again from there and the solver starts anew.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -193,9 +193,9 @@ Walked = tuple[Array, Array, Array, optx.RESULTS]
 class _Walk(eqx.Module):
     """How one walk of the solver goes: on which residuals, and to which tolerance."""
 
-    logarithmic: Bool[Array, " walk"]
-    rtol: Float[Array, " walk"]
-    atol: Float[Array, " walk"]
+    logarithmic: Bool[Array, "*walk"]
+    rtol: Float[Array, "*walk"]
+    atol: Float[Array, "*walk"]
 
 
 @eqx.filter_jit
@@ -203,23 +203,17 @@ def _solve(problem: Problem, first: Array, size: Array, solver: Any, max_steps: 
     """Solve from every start: ends, losses, steps, results.
 
     The solver moves w = (z - z_begin) * size: a unit step moves the residuals by about one standard deviation
-    whatever the parameter, so damping and tolerances mean the same for all of them. A first walk on the
-    logarithmic residuals leads near the solution, the next on the ordinary ones to it. Where derivatives are taken on
-    fewer rays, the solver walks on those rays' residuals plus an offset, by which they differ from those of all rays
-    where the walk begins; a second such walk leaves a thousandth of the difference. All walks are one compiled loop.
+    whatever the parameter, so damping and tolerances mean the same for all of them. A first walk on the logarithmic
+    residuals, of fewer rays where those suffice, leads near the solution; a second on the ordinary ones of all rays to
+    it. Where both are of the same rays they are one compiled loop.
     """
 
     def loss(z: Array) -> Array:
         return jnp.sum(problem.robustly(problem.residual(z)) ** 2)
 
-    def walk(begin: Array, how: _Walk) -> tuple[Array, tuple[Array, optx.RESULTS]]:
-        offset: Array | float = 0.0
-        if problem.thins:
-            ahead = problem.thinned(begin)
-            offset = lax.cond(how.logarithmic, lambda: jnp.zeros_like(ahead), lambda: problem.residual(begin) - ahead)
-
+    def walk(of: Callable[[Array], Array], begin: Array, how: _Walk) -> tuple[Array, tuple[Array, optx.RESULTS]]:
         def residual(w: Array) -> Array:
-            r = problem.thinned(begin + w / size) + offset
+            r = of(begin + w / size)
             return problem.robustly(jnp.where(how.logarithmic, problem.logarithmic(r), r))
 
         chosen = optx.LevenbergMarquardt(how.rtol, how.atol) if solver is None else solver  # type: ignore[arg-type]
@@ -232,17 +226,19 @@ def _solve(problem: Problem, first: Array, size: Array, solver: Any, max_steps: 
         return kept, (found.stats["num_steps"], found.result)
 
     def one(start: Array) -> Walked:
-        walks = 3 if problem.thins else 2
-        how = _Walk(
-            jnp.arange(walks) == 0,
-            as_float([1e-2, *(walks - 2) * [1e-3], 1e-6]),
-            as_float([1e-1, *(walks - 2) * [1e-1], 1e-2]),
-        )
-        end, (steps, results) = lax.scan(walk, start, how)
-        before, after = loss(start), loss(end)
-        better = after <= before
-        last = jax.tree.map(lambda leaf: leaf[-1], results)
-        return jnp.where(better, end, start), jnp.where(better, after, before), jnp.sum(steps), last
+        # in units of one standard deviation: a tenth leads near, a hundredth is the answer
+        how = _Walk(jnp.array([True, False]), as_float([1e-2, 1e-6]), as_float([1e-1, 1e-2]))
+        if problem.thins:
+            near, far = (jax.tree.map(lambda leaf, k=k: leaf[k], how) for k in (0, 1))
+            middle, (before, _) = walk(problem.thinned, start, near)
+            end, (after, result) = walk(problem.residual, middle, far)
+            steps = before + after
+        else:
+            end, (counts, results) = lax.scan(lambda z, how: walk(problem.residual, z, how), start, how)
+            steps, result = jnp.sum(counts), jax.tree.map(lambda leaf: leaf[-1], results)
+        began, ended = loss(start), loss(end)
+        better = ended <= began
+        return jnp.where(better, end, start), jnp.where(better, ended, began), steps, result
 
     if first.shape[0] == 1:
         return jax.tree.map(lambda leaf: leaf[None], one(first[0]))
@@ -251,8 +247,8 @@ def _solve(problem: Problem, first: Array, size: Array, solver: Any, max_steps: 
 
 @eqx.filter_jit
 def _linearised(problem: Problem, z: Array) -> Float[Array, "row p"]:
-    """Jacobian of the residuals, on the rays that suffice for derivatives."""
-    return value_and_jacobian(problem.thinned, z)[1]
+    """Jacobian of the residuals."""
+    return value_and_jacobian(problem.residual, z)[1]
 
 
 @eqx.filter_jit

@@ -11,11 +11,13 @@ from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Float, Int
 
 from jaxir.geometry.loops import bits, item, largest, lowest_bit, octant, row, smallest, varying
+from jaxir.geometry.single_search import DOUBT, NONE, Query, face_at, settled
 from jaxir.geometry.tree import FAR, WIDTH, Tree
 
 TILE = 256  # rays tested together
-_SLACK = 4.0  # units of the last place of an edge function within which a ray counts as inside
-NONE = 3e38  # a depth beyond everything; its negative marks an inactive ray
+BEYOND = 3e38  # a depth beyond everything; its negative marks an inactive ray
+_EDGE = 4.0  # rounding of an edge function, in units of the last place, see `_set_up`
+_GRAIN = 14.0  # rounding of screen points, in units of the last place of the distances that they stand for
 
 
 class View(NamedTuple):
@@ -67,21 +69,41 @@ def _search(tree: Tree, view: View, side: int, any_hit: bool) -> Int[Array, " ra
     pad = -count % size
     limit = None
     if view.limit is not None:
-        limit = jnp.pad(jnp.maximum(view.limit, -NONE), (0, pad), constant_values=-NONE).reshape(-1, size)
+        limit = jnp.pad(jnp.maximum(view.limit, -BEYOND), (0, pad), constant_values=-BEYOND).reshape(-1, size)
     screen = jnp.pad(view.screen, ((0, pad), (0, 0)), mode="edge").reshape(-1, size, 2)
     skip = None if view.skip is None else jnp.pad(view.skip, (0, pad)).reshape(-1, size)
     scene = see(tree, view.target, view.frame, view.inverse_range)
 
     def one(tile: tuple[Array, Array | None, Array | None]) -> Array:
         screen, limit, skip = tile
-        limit = jnp.full(size, NONE, screen.dtype) if limit is None else limit
+        limit = jnp.full(size, BEYOND, screen.dtype) if limit is None else limit
         return search_tile(scene, Tile(screen[:, 0], screen[:, 1], limit, skip), side, any_hit)
 
     tiles = (screen, limit, skip)
     place = lax.platform_dependent(
         tiles, cpu=lambda tiles: lax.map(one, tiles), default=lambda tiles: jax.vmap(one)(tiles)
     ).reshape(-1)[:count]
-    return jnp.where(place >= 0, tree.face.reshape(-1)[jnp.maximum(place, 0)], -1)
+    rays = (view.screen, view.limit, view.skip)
+    return face_at(tree, settled(tree, place, rays, lambda ray: _ask(view, side, *ray), any_hit))
+
+
+def _ask(view: View, side: int, screen: Array, limit: Array | None, skip: Array | None) -> Query:
+    """One ray of a view in double precision, from its rows of `screen`, `limit` and `skip`."""
+    target, x, y = (value.astype(jnp.float64) for value in (view.target, screen[0], screen[1]))
+    inverse = jnp.zeros_like(x) if view.inverse_range is None else view.inverse_range.astype(x.dtype)
+    u, v, w = dual(view.frame)
+    lateral = x * u + y * v
+    direction = inverse * lateral - w
+    length = jnp.sqrt(jnp.sum(direction * direction))
+    far = jnp.asarray(BEYOND, x.dtype)
+    if limit is not None:
+        depth = limit.astype(x.dtype)
+        left = 1 - depth * inverse  # the map's inverse; at or beyond infinity there is no limit
+        far = jnp.where((depth < BEYOND) & (left > 0), depth / jnp.where(left > 0, left, 1) * length, BEYOND)
+    skip = jnp.full((), -1, jnp.int32) if skip is None else skip
+    return Query(
+        target + lateral, direction / length, -jnp.asarray(BEYOND, x.dtype), far, skip, jnp.asarray(-side, x.dtype)
+    )
 
 
 class SeenTree(NamedTuple):
@@ -92,7 +114,17 @@ class SeenTree(NamedTuple):
     leaves: Array
     travel: Array
     shift: Array
+    grains: Array
     inverse_range: Array | None
+
+
+def dual(frame: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Rows u*, v*, w* with x u* + y v* + z w* the vector of frame coordinates (x, y, z), in double precision.
+
+    They differ from the frame by its rounding; a frame that is orthonormal to e gives them to e squared.
+    """
+    rows = frame.astype(jnp.float64)
+    return 2 * rows - (rows @ rows.T) @ rows
 
 
 def see(
@@ -108,7 +140,21 @@ def see(
         sorted_boxes = lax.dynamic_slice_in_dim(level_boxes, first * nodes, nodes)
         boxes.append(_project_boxes(sorted_boxes, travel, shift, inverse_range))
         children.append(lax.dynamic_slice_in_dim(level_children, first * nodes, nodes))
-    return SeenTree(tuple(boxes), tuple(children), tree.leaves, travel, shift, inverse_range)
+    grains = 1 / _grain(tree, travel, shift, inverse_range)
+    return SeenTree(tuple(boxes), tuple(children), tree.leaves, travel, shift, grains, inverse_range)
+
+
+def _grain(tree: Tree, travel: Array, shift: Array, inverse_range: Array | None) -> Array:
+    """How far rounding may move a corner against a ray on the screen [m], see `_set_up`."""
+    reach = jnp.sqrt(jnp.sum(tree.extent * tree.extent)) + jnp.sqrt(jnp.sum(shift * shift))
+    grain = _GRAIN * jnp.finfo(reach.dtype).eps * reach
+    if inverse_range is None:
+        return grain
+    # projection enlarges errors by s (1 + |x| / range), at most at the corners of the box
+    size = jnp.abs(travel) @ tree.extent
+    scale = 1 / jnp.maximum(1 + (shift[2] - size[2]) * inverse_range, jnp.finfo(reach.dtype).eps)
+    widest = jnp.sum(jnp.abs(shift[:2]) + size[:2])
+    return grain * scale * (1 + scale * widest * inverse_range)
 
 
 class Tile(NamedTuple):
@@ -143,8 +189,8 @@ def _project_boxes(table: Array, travel: Array, shift: Array, inverse_range: Arr
 
 
 def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
-    """Place in the tree of the face that each ray of one tile meets, -1 for none [ray]; see `search_bundle`."""
-    active = tile.limit > -NONE
+    """Place in the tree of the face that each ray of one tile meets, `NONE` or `DOUBT` [ray]; see `search_bundle`."""
+    active = tile.limit > -BEYOND
     x0, y0 = (smallest(jnp.where(active, lane, FAR)) for lane in (tile.x, tile.y))
     x1, y1 = (largest(jnp.where(active, lane, -FAR)) for lane in (tile.x, tile.y))
     some = x0 <= x1
@@ -155,7 +201,7 @@ def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
     xh = (x1 - x0) / 2 + 2 * eps * (jnp.abs(x0) + jnp.abs(x1))
     yh = (y1 - y0) / 2 + 2 * eps * (jnp.abs(y0) + jnp.abs(y1))
     x, y = tile.x - xc, tile.y - yc
-    slot = scene.leaves.shape[1] // 16
+    slot = scene.leaves.shape[1] // 15
     levels = len(scene.boxes)
 
     def meets_boxes(level: int, node: Array, deepest: Array) -> Array:
@@ -186,16 +232,30 @@ def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
         def test(k: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
             depth, place = state
             at = [k + edge * slot for edge in range(3)]
-            e0, e1, e2 = (item(face.a, i) * x + item(face.b, i) * y + item(face.c, i) for i in at)
-            here = item(face.rise, at[0]) * e1 - item(face.rise, at[2]) * e2 + item(face.depth, k)
-            inside = jnp.minimum(jnp.minimum(e0, e1), e2) >= 0
+            area = item(face.area, k)
+            sign = jnp.where(area < 0, -1, 1).astype(area.dtype)
+            z0, z1, z2 = (item(face.z, i) for i in at)
+            error0, error1, error2 = (item(face.error, i) for i in at)
+            e0, e1, e2 = (
+                sign * item(face.a, i) * x + sign * item(face.b, i) * y + (sign * item(face.c, i) + item(face.error, i))
+                for i in at
+            )
+            # seen edge-on, as far as rounding can tell: met as near as its nearest corner, and never surely
+            thin = jnp.abs(area) <= jnp.maximum(jnp.maximum(error0, error1), error2)
+            rise1, rise2 = (jnp.where(thin, 0, item(face.rise, i)) for i in (at[0], at[2]))
+            first = jnp.where(thin, jnp.minimum(jnp.minimum(z0, z1), z2), z0 - (rise1 * error1 - rise2 * error2))
+            margin = 2 * jnp.maximum(jnp.maximum(error0, error1), error2)
+            here = rise1 * e1 - rise2 * e2 + first
+            inside = jnp.minimum(jnp.minimum(e0, e1), e2)
             index = number * slot + k
-            hit = inside & (here < depth)
+            hit = (inside >= 0) & (here < depth)
             if tile.skip is not None:
                 hit = hit & (tile.skip != index)
+            sure = inside >= margin
+            code = jnp.where(sure, index, jnp.int32(DOUBT))
             if any_hit:
-                here = jnp.full_like(depth, -NONE)
-            return jnp.where(hit, here, depth), jnp.where(hit, index, place)
+                return jnp.where(hit & sure, -BEYOND, depth), jnp.where(hit, jnp.maximum(code, place), place)
+            return jnp.where(hit, here, depth), jnp.where(hit, code, place)
 
         def advance(k: Array) -> Array:
             """The next wanted face, coded as -1 - k, or `slot`."""
@@ -211,18 +271,33 @@ def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
         _, depth, place = lax.while_loop(lambda carry: carry[0] < 0, step, (first, depth, place))
         return largest(depth), depth, place
 
-    state = (largest(tile.limit), tile.limit, jnp.full(x.shape, -1, jnp.int32))
+    state = (largest(tile.limit), tile.limit, jnp.full(x.shape, NONE, jnp.int32))
     return visit(0, jnp.zeros((), jnp.int32), some, varying(state, x))[2]
 
 
 class _Faces(NamedTuple):
-    """Edge functions a x + b y + c >= 0 inside [3 * slot], and depth = rise0 e1 - rise2 e2 + depth."""
+    """The faces of one leaf as a tile sees them.
+
+    All but `wanted` are long rows, for which XLA writes SIMD code; what needs one number a face is left to its test.
+
+    Attributes:
+        a, b, c: edge functions e = sign(area) (a x + b y + c) + error [3 * slot]; none is negative where a ray may be
+            inside, and all exceed twice the largest error where it surely is. The sign belongs to the test: computed
+            in several rows it may differ between them by rounding.
+        error: of the edge functions [3 * slot].
+        area: twice the signed area on the screen, once for each edge [3 * slot].
+        rise: depth = z0 + rise0 (e1 - error1) - rise2 (e2 - error2) [3 * slot].
+        z: depths of the corners 0, 1, 2, 0, 1 [5 * slot].
+        wanted: faces that a ray of the tile may meet [slot].
+    """
 
     a: Array
     b: Array
     c: Array
+    error: Array
+    area: Array
     rise: Array
-    depth: Array
+    z: Array
     wanted: Array
 
 
@@ -230,36 +305,41 @@ def _set_up(scene: SeenTree, leaf: Array, centre: tuple[Array, Array], half: tup
     """Edge functions of the faces of one leaf about the centre of a tile, in flat rows long enough for SIMD.
 
     c is formed from the sum of an edge's ends, so that neighbours, who run through it in opposite directions, get
-    the exactly negated function; the slack added to it, of the size of its rounding, closes shared vertices.
+    the exactly negated function. As in `single_search`, a ray whose distance from three edges moved by rounding
+    exceeds that motion is truly inside or outside. Screen coordinates of corners and rays err by up to 19 u of the
+    distances that they stand for (turn 4, its shift 4, projection 4, tile 1, and 6 for a ray that was itself turned),
+    in two directions 27 u = 13.4 eps, which is `grain`; an edge function errs by 7 u of its terms.
     """
-    slot = leaf.shape[0] // 16
+    slot = leaf.shape[0] // 15
     p = [leaf[5 * k * slot : 5 * (k + 1) * slot] for k in range(3)]
     turn = scene.travel
     x, y, z = (turn[k, 0] * p[0] + turn[k, 1] * p[1] + turn[k, 2] * p[2] + scene.shift[k] for k in range(3))
+    opposite, start, stop = slice(0, 3 * slot), slice(slot, 4 * slot), slice(2 * slot, 5 * slot)
     if scene.inverse_range is not None:
         scale = 1 / (1 + z * scene.inverse_range)
         x, y, z = x * scale, y * scale, z * scale
     x, y = x - centre[0], y - centre[1]
-    opposite, start, stop = slice(0, 3 * slot), slice(slot, 4 * slot), slice(2 * slot, 5 * slot)
     a, b = y[start] - y[stop], x[stop] - x[start]
     sx, sy = (x[start] + x[stop]) / 2, (y[start] + y[stop]) / 2
     c = -(a * sx + b * sy)
     area = a * x[opposite] + b * y[opposite] + c
-    slack = (
-        _SLACK * jnp.finfo(x.dtype).eps * (jnp.abs(a) * (half[0] + jnp.abs(sx)) + jnp.abs(b) * (half[1] + jnp.abs(sy)))
-    )
-    size = area if side > 0 else -area if side < 0 else jnp.abs(area)
+    # in grains: XLA computes what ends in a division once, all else anew for every use
+    grains = _EDGE * jnp.finfo(x.dtype).eps * scene.grains
+    width, height = 1 + grains * half[0], 1 + grains * half[1]
+    error = (jnp.abs(a) * (width + grains * jnp.abs(sx)) + jnp.abs(b) * (height + grains * jnp.abs(sy))) / scene.grains
+    reach = [size + 1 / scene.grains for size in half]
     overlap = (
-        (jnp.minimum(jnp.minimum(x[opposite], x[start]), x[stop]) <= half[0])
-        & (jnp.maximum(jnp.maximum(x[opposite], x[start]), x[stop]) >= -half[0])
-        & (jnp.minimum(jnp.minimum(y[opposite], y[start]), y[stop]) <= half[1])
-        & (jnp.maximum(jnp.maximum(y[opposite], y[start]), y[stop]) >= -half[1])
-        # a face seen edge-on, thinner than the rounding: the slack of its neighbours covers it
-        & (size > slack)
+        (jnp.minimum(jnp.minimum(x[opposite], x[start]), x[stop]) <= reach[0])
+        & (jnp.maximum(jnp.maximum(x[opposite], x[start]), x[stop]) >= -reach[0])
+        & (jnp.minimum(jnp.minimum(y[opposite], y[start]), y[stop]) <= reach[1])
+        & (jnp.maximum(jnp.maximum(y[opposite], y[start]), y[stop]) >= -reach[1])
+        & (error > 0)  # not where a face is missing
     )
-    wanted = overlap[:slot] & overlap[slot : 2 * slot] & overlap[2 * slot :]
-    sign = jnp.where(area < 0, -1, 1).astype(x.dtype)
-    inverse = 1 / jnp.where(area != 0, area, 1)
-    rise = (z[start] - z[opposite]) * jnp.abs(inverse)
-    depth = z[:slot] - (rise[:slot] * slack[slot : 2 * slot] - rise[2 * slot :] * slack[2 * slot :])
-    return _Faces(a * sign, b * sign, c * sign + slack, rise, depth, wanted)
+    parts = [slice(k * slot, (k + 1) * slot) for k in range(3)]
+    wanted = overlap[parts[0]] & overlap[parts[1]] & overlap[parts[2]]
+    if side != 0:
+        facing = area * side > -error
+        wanted = wanted & (facing[parts[0]] | facing[parts[1]] | facing[parts[2]])
+    size = jnp.abs(area)
+    rise = (z[start] - z[opposite]) / jnp.where(size > error, size, 1)
+    return _Faces(a, b, c, error, area, rise, z, wanted)

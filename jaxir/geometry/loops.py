@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 T = TypeVar("T")
 
@@ -50,6 +51,58 @@ def largest(values: Float[Array, " lane"]) -> Float[Array, ""]:
 def octant(direction: Float[Array, " 3"]) -> Int[Array, ""]:
     """Number of the octant of a direction, as the tree's tables are sorted."""
     return jnp.sum(jnp.where(direction < 0, jnp.asarray([1, 2, 4], jnp.int32), jnp.int32(0)), dtype=jnp.int32)
+
+
+BLOCK = 256  # rays that `where_some` looks through at a time
+
+
+def where_some(
+    function: Callable[[Any], Array], some: Bool[Array, " ray"], value: Shaped[Array, " ray"], rays: Any
+) -> Shaped[Array, " ray"]:
+    """`value` [ray] with `function` of one ray's rows of `rays` where `some`; costs little where few are."""
+    count = value.shape[0]
+
+    def one_by_one(some: Array, value: Array, rays: Any) -> Array:
+        """Blocks with any such ray one after another, and in them ray after ray."""
+        flags, values = (jnp.pad(x, (0, -count % BLOCK)).reshape(-1, BLOCK) for x in (some, value))
+        any_in_block = jnp.any(flags, axis=1)
+        order = jnp.argsort(~any_in_block, stable=False).astype(jnp.int32)
+        numbers = jnp.arange(BLOCK, dtype=jnp.int32)
+
+        def block(k: Array, values: Array) -> Array:
+            index = order[k]
+
+            def next_ray(after: Array) -> Array:
+                return jnp.min(jnp.where(flags[index] & (numbers > after), numbers, jnp.int32(BLOCK)))
+
+            def ray(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+                at, values = carry
+                number = index * BLOCK + at
+                mine = jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, number, keepdims=False), rays)
+                return next_ray(at), lax.dynamic_update_index_in_dim(values, function(mine), at, 0)
+
+            first = next_ray(jnp.full((), -1, jnp.int32))
+            found = lax.while_loop(lambda carry: carry[0] < BLOCK, ray, (first, values[index]))[1]
+            return values.at[index].set(found)
+
+        zero = jnp.zeros((), jnp.int32)
+        stop = jnp.sum(any_in_block, dtype=jnp.int32)
+        return lax.fori_loop(zero, stop, block, varying(values, value)).reshape(-1)[:count]
+
+    def by_blocks(some: Array, value: Array, rays: Any) -> Array:
+        """All such rays gathered to full blocks, whose rays go in lockstep."""
+        order = jnp.pad(jnp.argsort(~some, stable=False).astype(jnp.int32), (0, -count % BLOCK))
+
+        def block(k: Array, value: Array) -> Array:
+            at = lax.dynamic_slice(order, (k * BLOCK,), (BLOCK,))
+            found = jax.vmap(function)(jax.tree.map(lambda x: x[at], rays))
+            return value.at[at].set(jnp.where(some[at], found, value[at]))
+
+        zero = jnp.zeros((), jnp.int32)
+        stop = (jnp.sum(some, dtype=jnp.int32) + (BLOCK - 1)) // BLOCK
+        return lax.fori_loop(zero, stop, block, varying(value, some))
+
+    return lax.platform_dependent(some, value, rays, cpu=one_by_one, default=by_blocks)
 
 
 def varying(value: T, like: Array) -> T:

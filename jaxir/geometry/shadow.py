@@ -11,10 +11,11 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir.geometry.bundle_search import NONE, TILE, Tile, project, search_tile, see
+from jaxir.geometry.bundle_search import BEYOND, TILE, Tile, dual, project, search_tile, see
 from jaxir.geometry.loops import varying
 from jaxir.geometry.mesh import Mesh, any_hit, off_face
 from jaxir.geometry.ray import Rays
+from jaxir.geometry.single_search import NONE, Query, settled
 from jaxir.geometry.triangle import corners_of, dot, unit_normal
 
 
@@ -80,7 +81,7 @@ def _occluded_from(mesh: Mesh, point: Array, face: Array, position: Array, activ
 
     if not tree.children:
         return alone()
-    outside = jnp.sum(jnp.abs(toward) * tree.half) < 0.99 * distance_of_eye
+    outside = jnp.sum(jnp.abs(toward) * tree.extent) < 0.99 * distance_of_eye
     inverse_range = 1 / jnp.where(outside, distance_of_eye, 1)
     return lax.cond(outside, lambda: _occluded(mesh, point, face, toward, active, inverse_range), alone)
 
@@ -99,27 +100,43 @@ def _occluded(
     scene = see(tree, tree.centre, frame, inverse_range)
     offset = off_face(tree)
 
+    side = -1 if mesh.closed else 0
+
     def tile(point: Array, face: Array, active: Array) -> Array:
-        started = face >= 0
+        position, lit = start(point, face)
+        away = (face >= 0) & (lit <= 0) if mesh.closed else jnp.zeros_like(active)
+        skip = None if mesh.closed else jnp.where(face >= 0, tree.slot[jnp.maximum(face, 0)], -1)
+        x, y, z = (dot(list(axis), position) for axis in frame)
+        scale = jnp.ones_like(z) if inverse_range is None else 1 / (1 - z * inverse_range)
+        limit = jnp.where(active & ~away, project(-z, inverse_range), -BEYOND)
+        place = search_tile(scene, Tile(x * scale, y * scale, limit, skip), side, any_hit=True)
+        return jnp.where(active & away, 0, place)
+
+    def start(point: Array, face: Array) -> tuple[list[Array], Array]:
+        """Points off their faces, measured from the tree's centre, and how much of the light their faces look at."""
         normal = unit_normal(corners_of(mesh.vertices, mesh.faces, face))
         position = [point[:, k] - tree.centre[k] for k in range(3)]
         if inverse_range is None:
             lit = dot(normal, list(toward))
         else:
             lit = dot(normal, [toward[k] - position[k] * inverse_range for k in range(3)])
-        away, skip = jnp.zeros_like(active), None
-        if mesh.closed:
-            away = started & (lit <= 0)
-        else:
-            skip = jnp.where(started, tree.slot[jnp.maximum(face, 0)], -1)
-        step = jnp.where(started, offset * jnp.sign(lit), 0)
-        position = [position[k] + step * normal[k] for k in range(3)]
-        x, y, z = (dot(list(axis), position) for axis in frame)
-        scale = jnp.ones_like(z) if inverse_range is None else 1 / (1 - z * inverse_range)
-        limit = jnp.where(active & ~away, project(-z, inverse_range), -NONE)
-        side = -1 if mesh.closed else 0
-        place = search_tile(scene, Tile(x * scale, y * scale, limit, skip), side, any_hit=True)
-        return active & (away | (place >= 0))
+        step = jnp.where(face >= 0, offset * jnp.sign(lit), 0)
+        return [position[k] + step * normal[k] for k in range(3)], lit
+
+    def ask(ray: tuple[Array, Array]) -> Query:
+        """The ray of one point in double precision."""
+        point, face = ray
+        double = jnp.float64
+        position = jnp.concatenate(start(point[None, :], face[None])[0]).astype(double)
+        w = dual(frame)[2]
+        direction, far = w, jnp.full((), jnp.inf, double)
+        if inverse_range is not None:
+            direction = w / inverse_range.astype(double) - position
+            far = jnp.sqrt(jnp.sum(direction * direction))
+            direction = direction / far
+        skip = jnp.full((), -1, jnp.int32) if mesh.closed else jnp.where(face >= 0, tree.slot[jnp.maximum(face, 0)], -1)
+        origin = position + tree.centre.astype(double)
+        return Query(origin, direction, jnp.zeros((), double), far, skip, jnp.full((), side, double))
 
     count = len(point)
     size = min(TILE, -(-count // 16) * 16)
@@ -127,22 +144,23 @@ def _occluded(
         jnp.pad(x, ((0, -count % size), *[(0, 0)] * (x.ndim - 1))).reshape(-1, size, *x.shape[1:])
         for x in (point, face, active)
     ]
-    return lax.platform_dependent(
+    place = lax.platform_dependent(
         *tiles, cpu=partial(_where_active, tile), default=lambda *tiles: jax.vmap(tile)(*tiles)
     ).reshape(-1)[:count]
+    return settled(tree, place, (point, face), ask, any_hit=True) >= 0
 
 
 def _where_active(tile: Callable[..., Array], point: Array, face: Array, active: Array) -> Array:
-    """`tile` of the tiles that hold an active point, one after another; False in the others."""
+    """`tile` of the tiles that hold an active point, one after another; no place in the others."""
     some = jnp.any(active, axis=1)
     order = jnp.argsort(~some)
 
-    def body(k: Array, hidden: Array) -> Array:
+    def body(k: Array, place: Array) -> Array:
         index = order[k]
-        return hidden.at[index].set(tile(point[index], face[index], active[index]))
+        return place.at[index].set(tile(point[index], face[index], active[index]))
 
-    zero = jnp.zeros((), jnp.int32)
-    return lax.fori_loop(zero, jnp.sum(some, dtype=jnp.int32), body, varying(jnp.zeros_like(active), point))
+    zero, none = jnp.zeros((), jnp.int32), jnp.full(active.shape, NONE, jnp.int32)
+    return lax.fori_loop(zero, jnp.sum(some, dtype=jnp.int32), body, varying(none, point))
 
 
 def orthonormal(w: Float[Array, " 3"]) -> Float[Array, "3 3"]:

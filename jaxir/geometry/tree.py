@@ -32,10 +32,11 @@ class Tree(eqx.Module):
         slot: place of each face in the flattened `face` [face].
         children: for each level, from the root down, child numbers sorted near to far [octant * node, 16].
         boxes: for each level, lower x, y, z, then upper x, y, z of the children [octant * node, 6 * 16] [m].
-        leaves: x, then y, then z of corners 0, 1, 2, 0, 1, then the longest edge [leaf, 16 * slot] [m]; zero where
-            a face is missing or has no area.
-        centre: centre of the bounding box [3] [m].
-        half: half of its size [3] [m].
+        leaves: x, then y, then z of corners 0, 1, 2, 0, 1 [leaf, 15 * slot] [m]; zero where a face is missing or has
+            two corners in one place.
+        centre: a point from which the mesh's coordinates are measured without rounding [3] [m]: on each axis the
+            middle of the mesh if it lies far from 0, otherwise 0.
+        extent: largest size of a coordinate measured from it [3] [m].
     """
 
     face: Int[Array, "leaf slot"]
@@ -44,7 +45,7 @@ class Tree(eqx.Module):
     boxes: tuple[Float[Array, "_ 96"], ...]
     leaves: Float[Array, "leaf _"]
     centre: Float[Array, " 3"]
-    half: Float[Array, " 3"]
+    extent: Float[Array, " 3"]
 
     @property
     def slots(self) -> int:
@@ -68,7 +69,7 @@ def build(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Tree:
     slot[face.ravel()[filled]] = filled
     children = _children(vertices, faces, face)
     tables = _tables(np, vertices, faces, face, children)
-    boxes, leaves, centre, half = tables
+    boxes, leaves, centre, extent = tables
     return Tree(
         jnp.asarray(face),
         jnp.asarray(slot),
@@ -76,7 +77,7 @@ def build(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Tree:
         tuple(jnp.asarray(b) for b in boxes),
         jnp.asarray(leaves),
         jnp.asarray(centre),
-        jnp.asarray(half),
+        jnp.asarray(extent),
     )
 
 
@@ -142,17 +143,19 @@ def _children(
 
 
 def _tables(xp: ModuleType, vertices: Any, faces: Any, face: Any, children: tuple[Any, ...]) -> tuple[Any, ...]:
-    """(boxes, leaves, centre, half) of `Tree`, with numpy on the host or jax.numpy on the device."""
+    """(boxes, leaves, centre, extent) of `Tree`, with numpy on the host or jax.numpy on the device."""
     used = vertices[faces].reshape(-1, 3)
     low, high = used.min(0), used.max(0)
-    centre, half = (low + high) / 2, (high - low) / 2
+    middle = (low + high) / 2
+    # floats within a factor of two of each other are subtracted without rounding (Sterbenz)
+    centre = xp.where(abs(middle) > 2.25 * (high - low) / 2, middle, xp.zeros_like(middle))
+    extent = xp.maximum(high - centre, centre - low)
     corners, solid = _corners(xp, vertices, faces, face, centre)
     corners = xp.where(solid[:, :, None, None], corners, xp.zeros_like(corners))
     leaf, slot = face.shape
     five = xp.concatenate([corners, corners[:, :, :2]], axis=2)
-    longest = _longest(xp, corners)
-    leaves = xp.concatenate([five.transpose(0, 3, 2, 1).reshape(leaf, 15 * slot), longest], axis=1)
-    margin = 16 * np.finfo(corners.dtype).eps * xp.sqrt((half * half).sum())  # slab tests round, flat boxes exist
+    leaves = five.transpose(0, 3, 2, 1).reshape(leaf, 15 * slot)
+    margin = 16 * np.finfo(corners.dtype).eps * xp.sqrt((extent * extent).sum())  # slab tests round, flat boxes exist
     boxes = []
     if children:
         pyramid = _pyramid(xp, *_leaf_boxes(xp, corners, solid))
@@ -161,23 +164,14 @@ def _tables(xp: ModuleType, vertices: Any, faces: Any, face: Any, children: tupl
             index = xp.maximum(child, 0)
             sides = (xp.where(valid, below[index], FAR) - margin, xp.where(valid, above[index], FAR) + margin)
             boxes.append(xp.concatenate([side.transpose(0, 2, 1).reshape(len(child), -1) for side in sides], axis=1))
-    return tuple(boxes), leaves, centre, half
-
-
-def _longest(xp: ModuleType, corners: Any) -> Any:
-    """Longest edge of each face [leaf, slot] [m]."""
-    edge = corners - corners[:, :, xp.asarray([1, 2, 0])]
-    return xp.sqrt((edge * edge).sum(-1).max(-1))
+    return tuple(boxes), leaves, centre, extent
 
 
 def _corners(xp: ModuleType, vertices: Any, faces: Any, face: Any, centre: Any) -> tuple[Any, Any]:
-    """Vertices of the faces in leaf order [leaf, slot, corner, 3] [m], and whether each is there and has an area."""
+    """Vertices of the faces in leaf order [leaf, slot, corner, 3] [m], and whether each is a face of three places."""
     corners = vertices[faces[xp.maximum(face, 0)]] - centre[None, None, None, :]
-    normal = xp.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-    longest = _longest(xp, corners)
-    # thinner than the rounding of its own corners: no area in this precision
-    thin = 4 * np.finfo(corners.dtype).eps * longest * longest
-    return corners, (face >= 0) & (abs(normal).max(-1) > thin)
+    apart = (corners != corners[:, :, xp.asarray([1, 2, 0])]).any(-1).all(-1)
+    return corners, (face >= 0) & apart
 
 
 def _leaf_boxes(xp: ModuleType, corners: Any, solid: Any) -> tuple[Any, Any]:

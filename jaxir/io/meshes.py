@@ -91,6 +91,8 @@ def _read(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ..
     """Vertices, faces, part of each face and names of the parts, in the file's unit."""
     if file.suffix.lower() == ".obj":
         return read_obj(file)
+    if file.suffix.lower() == ".stl":
+        _require_whole_stl(file)
     try:
         loaded = trimesh.load_scene(str(file), process=False)
     except Exception as error:  # trimesh's readers raise whatever their parsers do
@@ -110,6 +112,22 @@ def _read(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ..
         names.append(str(name))
         offset += len(points)
     return np.concatenate(vertices), np.concatenate(faces), np.concatenate(part), tuple(names)
+
+
+def _require_whole_stl(file: Path) -> None:
+    """Raise `ValueError` for an STL file that is cut, which its readers take for one without triangles."""
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        head = stream.read(84)
+        stream.seek(-min(size, 1024), os.SEEK_END)
+        tail = stream.read()
+    whole = 84 + 50 * int.from_bytes(head[80:84], "little")
+    if len(head) == 84 and size >= whole:
+        return
+    if not head.lstrip().lower().startswith(b"solid"):
+        raise ValueError(f"{file}: got {size} bytes, expected {whole} as its header says: the file is cut")
+    if b"endsolid" not in tail.lower():
+        raise ValueError(f"{file}: got no endsolid at its end, expected one: the file is cut")
 
 
 def zero_area_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -59,6 +59,7 @@ from jaxir.transport.reflection import (
     ClosedForm,
     LightSampling,
     MultipleImportance,
+    SkinLight,
 )
 
 
@@ -247,6 +248,7 @@ READERS: dict[str, Reader] = {
     "sampler": _of(SAMPLERS),
     "samples": integer,
     "shape": sizes,
+    "skin": _of({"SkinLight": SkinLight}),
     "table": _mie,
     "tables": _k_tables,
     "unit": one_of(list(METRES)),

@@ -19,6 +19,7 @@ from jaxir.scene.scene import Scene
 from jaxir.transport.lights import Light, meet_light, sample_light
 from jaxir.transport.mis import mis_weight
 from jaxir.transport.reflection import Reflection, concavity
+from jaxir.transport.skin_light import draw_points, face_odds, pdf_points
 
 
 class Vertex(eqx.Module):
@@ -30,6 +31,8 @@ class Vertex(eqx.Module):
         normal: unit normal on the side of `omega_o` [ray, 3].
         omega_o: unit vector back along the path [ray, 3].
         lit: whether the point sees each delta source [source, ray]; None without such sources.
+        glows: whether its own emission still counts, and was not looked for from where the path came [ray]; None
+            where it always counts.
     """
 
     face: Int[Array, "*vertex ray"]
@@ -37,6 +40,23 @@ class Vertex(eqx.Module):
     normal: Float[Array, "*vertex ray 3"]
     omega_o: Float[Array, "*vertex ray 3"]
     lit: Bool[Array, "*vertex source ray"] | None
+    glows: Bool[Array, "*vertex ray"] | None = None
+
+
+class FacesSeen(eqx.Module):
+    """Points of the skin looked for as lights from another point, first those drawn, then those met by the brdf.
+
+    Attributes:
+        face: which face [sample, ray]; -1 for none.
+        omega: unit vectors towards them [sample, ray, 3].
+        distance: [sample, ray] [m].
+        factor: as in `Around`; 0 where the point is not seen.
+    """
+
+    face: Int[Array, "*vertex sample ray"]
+    omega: Float[Array, "*vertex sample ray 3"]
+    distance: Float[Array, "*vertex sample ray"]
+    factor: Float[Array, "*vertex sample ray"]
 
 
 class Around(eqx.Module):
@@ -48,11 +68,13 @@ class Around(eqx.Module):
         omega: unit vectors, first those drawn from the light, then those drawn from the brdf [light, sample, ray, 3].
         distance: to the light [light, sample, ray] [m]; inf for the background.
         factor: weight (9) / (number of samples * density) [light, sample, ray] [sr]; 0 where the light is not seen.
+        faces: the skin as a light; None where it is none.
     """
 
     omega: Float[Array, "*vertex light sample ray 3"]
     distance: Float[Array, "*vertex light sample ray"]
     factor: Float[Array, "*vertex light sample ray"]
+    faces: FacesSeen | None
 
 
 class Leg(eqx.Module):
@@ -94,8 +116,10 @@ def look_around(
     """
     assert scene.skin is not None
     mesh, lights = scene.skin.mesh, reflection.lights(scene)
-    count, own = reflection.direct.counts() if lights else (0, 0)
+    count, own = reflection.direct.counts() if reflection.looks(scene) else (0, 0)
     legs = max(own, 0 if go_on is None else 1)
+    if reflection.skin is not None:
+        key, at_faces = jax.random.split(key)
     keys = jax.random.split(key, vertex.face.shape[0])
     brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
 
@@ -121,25 +145,78 @@ def look_around(
             hollow, lambda: any_hit(mesh, flat, t_max=end, leaving=face), lambda: jnp.zeros(end.shape, bool)
         )
         seen = [~hidden.reshape(reach[:, :count].shape)]
-    leg = hit = None
+    leg = hit = met = None
     if legs:
-        limit = jnp.max(reach[:, count:], axis=0, initial=0) if own else jnp.zeros_like(leg_factor)
+        limit = jnp.max(reach[:, count:], axis=0, initial=0) if own and lights else jnp.zeros_like(leg_factor)
+        if own and reflection.skin is not None:
+            limit = jnp.where(leg_factor > 0, jnp.inf, 0)
         if go_on is not None:
             limit = limit.at[0].set(jnp.where(go_on & (leg_factor[0] > 0), jnp.inf, limit[0]))
         flat, face = rays(leg_omega)
         search = partial(closest_hit, mesh, flat, t_max=limit.reshape(-1), leaving=face)
         met = lax.cond(hollow, search, lambda: no_hit(flat.origin))
         free = met.t.reshape(limit.shape)
-        if own:
+        if own and lights:
             seen.append(free[None] >= distance[:, count:])
         if go_on is not None:
             hit = jax.tree.map(lambda leaf: leaf[: vertex.face.shape[0]], met)
             on = go_on & (leg_factor[0] > 0)
             hit = eqx.tree_at(lambda h: h.face, hit, jnp.where(on, hit.face, -1))
             leg = Leg(leg_omega[0], jnp.where(on, leg_factor[0], 0), jnp.where(on, free[0], 0), hit.face >= 0)
-    if not lights:
+    if not reflection.looks(scene):
         return None, leg, hit
-    return Around(omega, distance, jnp.where(jnp.concatenate(seen, axis=1), factor, 0)), leg, hit
+    faces = None
+    if reflection.skin is not None:
+        own_legs = None
+        if own:
+            assert met is not None
+            own_legs = (leg_omega, leg_factor, met.face.reshape(leg_factor.shape), met.t.reshape(leg_factor.shape))
+        faces = _look_for_faces(scene, reflection, vertex, at_faces, own_legs, hollow)
+    factor = jnp.where(jnp.concatenate(seen, axis=1), factor, 0) if lights else factor
+    return Around(omega, distance, factor, faces), leg, hit
+
+
+def _look_for_faces(
+    scene: Scene,
+    reflection: Reflection,
+    vertex: Vertex,
+    key: Array,
+    legs: tuple[Array, Array, Array, Array] | None,
+    hollow: Array,
+) -> FacesSeen:
+    """The skin as a light: points drawn on it, and those met by legs (direction, 1 / density, face, distance)."""
+    assert scene.skin is not None and reflection.skin is not None
+    mesh, odds = scene.skin.mesh, face_odds(scene.skin, reflection.skin)
+    count, own = reflection.direct.counts()
+    density = jax.vmap(partial(pdf_points, mesh, odds))
+    parts = []
+    if count:
+        keys = jax.random.split(key, vertex.face.shape[0])
+        draw = partial(draw_points, mesh, odds, reflection.sampler, count=count)
+        face, target = jax.vmap(draw, out_axes=1)(keys)
+        offset = target - vertex.point[None]
+        distance = jnp.sqrt(jnp.sum(offset * offset, axis=-1))
+        omega = offset / jnp.where(distance > 0, distance, 1)[..., None]
+        pdf = density(face, omega, distance)
+        weight = jnp.ones_like(pdf)
+        if own:
+            brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
+            rival = jax.vmap(lambda b, w, o, n: jax.vmap(lambda w: b.pdf(w, o, n))(w), in_axes=(0, 1, 0, 0), out_axes=1)
+            weight = mis_weight(count, pdf, own, rival(brdf, omega, vertex.omega_o, vertex.normal))
+        good = (vertex.face >= 0)[None] & (pdf > 0) & (jnp.sum(omega * vertex.normal[None], axis=-1) > 0)
+        flat = Rays(jnp.broadcast_to(vertex.point[None], omega.shape).reshape(-1, 3), omega.reshape(-1, 3))
+        leaving = jnp.broadcast_to(vertex.face[None], face.shape).reshape(-1)
+        search = partial(closest_hit, mesh, flat, t_max=jnp.where(good, jnp.inf, 0).reshape(-1), leaving=leaving)
+        first = lax.cond(hollow, search, lambda: no_hit(flat.origin)).face.reshape(face.shape)
+        parts.append((face, omega, distance, _share(good & (first == face), weight, count, pdf)))
+    if legs is not None:
+        omega, inverse, face, distance = (leaf[:own] for leaf in legs)
+        met = (inverse > 0) & (face >= 0)
+        reach = jnp.where(met, distance, 0)
+        pdf = 1 / jnp.where(met, inverse, 1)
+        weight = mis_weight(own, pdf, count, density(face, omega, reach))
+        parts.append((jnp.where(met, face, -1), omega, reach, _share(met, weight, own, pdf)))
+    return FacesSeen(*(jnp.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def _hollow(mesh: Mesh, vertex: Vertex) -> Bool[Array, ""]:

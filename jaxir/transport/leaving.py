@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxir._vector import dot
+from jaxir.geometry.mesh import face_normal
 from jaxir.scene.source import per_node
 from jaxir.transport.around import Around, Vertex
 from jaxir.transport.closed_form import closed_form
@@ -21,8 +24,12 @@ def leaving(
     """Own emission plus reflected light that comes straight from lights, equation (3) [ray, node].
 
     L = emissivity(theta_o) B(T) + sum_s brdf(omega_s, omega_o) cos(theta_s) E_s + sampled lights
+
+    The first term is left out where it was found as a light already.
     """
-    radiance = emitted_radiance(optical, vertex)
+    radiance = _emitted(optical, vertex.face, jnp.sum(vertex.normal * vertex.omega_o, axis=-1))
+    if vertex.glows is not None:
+        radiance = jnp.where(vertex.glows[:, None], radiance, 0)
     if vertex.lit is not None:
         for source, sees in zip(optical.scene.delta_sources, vertex.lit, strict=True):
             omega_i, distance = jax.vmap(source.toward)(vertex.point)
@@ -36,19 +43,29 @@ def leaving(
         return radiance
     for place, light in enumerate(reflection.lights(optical.scene)):
         omega, factor = around.omega[place], around.factor[place]
-        value = jax.vmap(lambda w, f: reflected(optical, vertex, w, f))(omega, factor)
-        point = jnp.broadcast_to(vertex.point[None], omega.shape)
-        reach = jnp.where(factor > 0, around.distance[place], 0)
-        passed = plume_transmittance(optical, point, omega, reach)
-        radiance = radiance + jnp.sum(value * light_radiance(light, optical.nodes, omega) * passed, axis=0)
+        arriving = light_radiance(light, optical.nodes, omega)
+        radiance = radiance + _found(optical, vertex, omega, around.distance[place], factor, arriving)
+    if around.faces is not None:
+        assert optical.scene.skin is not None
+        seen = around.faces
+        normal = face_normal(optical.scene.skin.mesh, jnp.maximum(seen.face, 0).reshape(-1)).reshape(seen.omega.shape)
+        arriving = jax.vmap(partial(_emitted, optical))(seen.face, jnp.abs(jnp.sum(normal * seen.omega, axis=-1)))
+        radiance = radiance + _found(optical, vertex, seen.omega, seen.distance, seen.factor, arriving)
     return radiance
 
 
-def emitted_radiance(optical: Radiometry, vertex: Vertex) -> Float[Array, "ray node"]:
+def _found(optical: Radiometry, vertex: Vertex, omega: Array, distance: Array, factor: Array, arriving: Array) -> Array:
+    """Sum over samples of reflected light that starts as `arriving` [sample, ray, node], behind the plume."""
+    value = jax.vmap(lambda w, f: reflected(optical, vertex, w, f))(omega, factor)
+    point = jnp.broadcast_to(vertex.point[None], omega.shape)
+    passed = plume_transmittance(optical, point, omega, jnp.where(factor > 0, distance, 0))
+    return jnp.sum(value * arriving * passed, axis=0)
+
+
+def _emitted(optical: Radiometry, face: Int[Array, " ray"], cos_o: Float[Array, " ray"]) -> Float[Array, "ray node"]:
     """emissivity(theta_o) B(T) [ray, node]."""
     assert optical.scene.skin is not None and optical.skin_source is not None
-    face = jnp.maximum(vertex.face, 0)
-    cos_o = jnp.sum(vertex.normal * vertex.omega_o, axis=-1)
+    face = jnp.maximum(face, 0)
     return jax.vmap(lambda b, c: b.emissivity(c))(optical.scene.skin.brdf.at(face), cos_o) * optical.skin_source[face]
 
 

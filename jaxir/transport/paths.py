@@ -129,10 +129,12 @@ def _trace(scene: Scene, rays: Rays | Bundle, reflection: Reflection | None, key
     if scene.delta_sources:
         lit = jnp.stack([lit_from(scene, hit, normal, source) for source in scene.delta_sources])
     paths = Paths(single, hit, normal, lit, None)
-    if reflection is None or not (reflection.bounces or reflection.lights(scene)):
+    if reflection is None or not (reflection.bounces or reflection.looks(scene)):
         return paths
     if key is None:
-        raise ValueError("trace: got no key, expected one: light from area sources, background or bounces is sampled")
+        raise ValueError(
+            "trace: got no key, expected one: light from area sources, background, skin or bounces is sampled"
+        )
     if reflection.bounces == 0:
         around, _, _ = look_around(scene, reflection, paths.vertex(), key, None)
         return eqx.tree_at(lambda p: p.around, paths, around, is_leaf=lambda x: x is None)
@@ -146,12 +148,15 @@ def _bounce(scene: Scene, reflection: Reflection, first: Vertex, key: Array) -> 
     def step(vertex: Vertex, drawn: tuple[Array, Array]) -> tuple[Vertex, Chain]:
         around, leg, hit = look_around(scene, reflection, vertex, *drawn)
         assert leg is not None and hit is not None
-        landed = Vertex(hit.face, hit.point, normal_towards(-leg.omega, hit), -leg.omega, None)
+        glows = None if vertex.glows is None else jnp.zeros_like(vertex.glows)
+        landed = Vertex(hit.face, hit.point, normal_towards(-leg.omega, hit), -leg.omega, None, glows)
         if vertex.lit is not None:
             lit = jnp.stack([lit_alone(scene, landed, source) for source in scene.delta_sources])
             landed = eqx.tree_at(lambda v: v.lit, landed, lit, is_leaf=lambda x: x is None)
         return landed, Chain(vertex, around, leg)
 
+    if reflection.skin is not None:
+        first = eqx.tree_at(lambda v: v.glows, first, first.face >= 0, is_leaf=lambda x: x is None)
     count = reflection.bounces + 1
     go_on = jnp.arange(count, dtype=jnp.int32) < reflection.bounces
     return lax.scan(step, first, (jax.random.split(key, count), go_on))[1]

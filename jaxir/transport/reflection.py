@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, non_negative
+from jaxir._arrays import Check, as_float, finite, non_negative, require_shape
 from jaxir.geometry.form_factor import disc_above
 from jaxir.geometry.mesh import Mesh, face_normal
 from jaxir.geometry.sampling import AbstractSampler, Independent
@@ -182,6 +182,25 @@ class AmbientTerm(eqx.Module):
         self.radiance = spectral("AmbientTerm.radiance", radiance)
 
 
+class SkinLight(eqx.Module):
+    """Warm skin as a light on other skin: worth it where a small part of the skin outshines the rest.
+
+    A face is drawn with a probability that grows as area * temperature^exponent, and a point of it uniformly. Without
+    it skin meets the glow of other skin only where a path happens to go on.
+
+    Attributes:
+        exponent: 4 suits all wavelengths together; one wavelength, c2 / (wavelength temperature) where that is large.
+            It decides how even the samples are; the estimate has no bias for any.
+    """
+
+    exponent: Float[Array, ""]
+
+    def __init__(self, exponent: Any = 4.0):
+        """Convert to an array."""
+        self.exponent = as_float(exponent, "SkinLight.exponent")
+        require_shape("SkinLight.exponent", self.exponent, ())
+
+
 class Reflection(eqx.Module):
     """How reflected light is found.
 
@@ -195,12 +214,16 @@ class Reflection(eqx.Module):
             reflectance^(bounces + 1) of the brightest radiance around.
         sampler: how even the random points of one decision are.
         beyond: what stands for light reflected more often; None for nothing.
+        skin: how the skin's own emission is looked for by `direct`, like the lights: then it counts as a light, also
+            with 0 bounces, and `beyond` stands for what skin reflects, no longer for what it emits. None: it is met
+            where bounces lead.
     """
 
     direct: AbstractDirect
     bounces: int = eqx.field(static=True)
     sampler: AbstractSampler
     beyond: AmbientTerm | None
+    skin: SkinLight | None
 
     def __init__(
         self,
@@ -208,31 +231,44 @@ class Reflection(eqx.Module):
         bounces: int = 0,
         sampler: AbstractSampler | None = None,
         beyond: AmbientTerm | None = None,
+        skin: SkinLight | None = None,
     ):
         """Join the parts; `MultipleImportance(1, 1)` and independent points unless given.
 
         Raises:
-            ValueError: bounces is not an integer >= 0.
+            ValueError: bounces is not an integer >= 0; skin is to be sampled by a strategy without samples.
         """
         self.direct = MultipleImportance() if direct is None else direct
         self.bounces = _count("Reflection.bounces", bounces, least=0)
         self.sampler = Independent() if sampler is None else sampler
         self.beyond = beyond
+        if skin is not None and sum(self.direct.counts()) == 0:
+            raise ValueError(
+                f"Reflection.skin: got SkinLight with {type(self.direct).__name__}, expected a direct "
+                "strategy that samples"
+            )
+        self.skin = skin
+
+    def looks(self, scene: Scene) -> bool:
+        """Whether any light is sampled."""
+        return self.skin is not None or len(self.lights(scene)) > 0
 
     def lights(self, scene: Scene) -> tuple[AbstractAreaSource | AbstractBackground, ...]:
-        """What is sampled: every source with an extent, and the background."""
+        """What is sampled beside the skin: every source with an extent, and the background."""
         if sum(self.direct.counts()) == 0:
             return ()
         return (*scene.area_sources, *scene.surroundings)
 
     def samples(self, scene: Scene) -> int:
         """Directions recorded at each point met."""
-        return max(1, len(self.lights(scene)) * sum(self.direct.counts())) * (1 + self.bounces)
+        lights = len(self.lights(scene)) + (self.skin is not None)
+        return max(1, lights * sum(self.direct.counts())) * (1 + self.bounces)
 
     def checks(self, scene: Scene) -> list[Check]:
         """The strategy suits the scene, the ambient radiance is not negative."""
         beyond = [] if self.beyond is None else [non_negative("AmbientTerm.radiance", self.beyond.radiance)]
-        return [*self.direct.require(scene), *beyond]
+        skin = [] if self.skin is None else [finite("SkinLight.exponent", self.skin.exponent)]
+        return [*self.direct.require(scene), *beyond, *skin]
 
 
 def reflection_of(scene: Scene, given: Reflection | None) -> Reflection | None:

@@ -111,7 +111,7 @@ def follow(
         key, more, may_bounce = drawn
         at_skin, for_place, for_omega, for_beams = jax.random.split(key, 4)
         around = leg = landed = None
-        if reflection is not None and state.vertex is not None and (bounces or lights):
+        if reflection is not None and state.vertex is not None and (bounces or reflection.looks(scene)):
             around, leg, landed = look_around(scene, reflection, state.vertex, at_skin, may_bounce if bounces else None)
         u = jax.random.uniform(for_place, state.length.shape, state.length.dtype)
         forced = jnp.ones(u.shape, bool) if leg is None else leg.factor == 0
@@ -135,9 +135,13 @@ def follow(
             factor = jnp.where(scattered, factor, leg.factor * place.passing)
             link = eqx.tree_at(lambda x: (x.omega, x.factor), link, (onward.direction, factor))
         vertex = None if state.vertex is None else _vertex(scene, onward, hit, state.vertex.lit is not None)
+        if state.vertex is not None and state.vertex.glows is not None:
+            vertex = eqx.tree_at(lambda v: v.glows, vertex, scattered, is_leaf=lambda x: x is None)
         events = state.events + scattered.astype(jnp.int32)
         return _State(onward, hit.t, vertex, scattered | (len(lights) == 0), events), link
 
+    if vertex is not None and reflection is not None and reflection.skin is not None:
+        vertex = eqx.tree_at(lambda v: v.glows, vertex, vertex.face >= 0, is_leaf=lambda x: x is None)
     state = _State(rays, hit.t, vertex, jnp.ones(hit.t.shape, bool), jnp.zeros(hit.t.shape, jnp.int32))
     keys = jax.random.split(key, index.shape[0])
     return lax.scan(step, state, (keys, index < index.shape[0] - 1, index < bounces))[1]

@@ -30,9 +30,9 @@ def soup(seed=0, count=700):
     return vertices, faces
 
 
-def slivers(count=300):
-    """A fan of needles 1e-4 as wide as long."""
-    angle = np.linspace(0, 2 * np.pi * 1e-4 * count, count + 1)
+def slivers(count=300, width=2 * np.pi * 1e-4):
+    """A fan of needles, `width` as wide as long."""
+    angle = np.linspace(0, width * count, count + 1)
     rim = np.stack([2 * np.cos(angle), 2 * np.sin(angle), 0.2 * np.sin(50 * angle)], -1)
     index = np.arange(count)
     return np.concatenate([rim, [[0.0, 0.0, 0.3]]]), np.stack([index, index + 1, np.full(count, count + 1)], -1)

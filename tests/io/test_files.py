@@ -64,6 +64,8 @@ def test_zero_area_faces_are_named(tmp_path):
         ("empty.obj", b"", "empty.obj: "),
         ("noise.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "noise.ply: "),
         ("noise.glb", bytes(range(40)), "noise.glb: not readable as a mesh"),
+        ("cut.stl", bytes(80) + b"\x05\x00\x00\x00" + bytes(50), "cut.stl: got 134 bytes, expected 334 .* is cut"),
+        ("text.stl", b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "text.stl: got no endsolid"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "points.obj: "),
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "nan.obj: vertex 0 is .* expected finite"),
         ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "flat.obj: all 1 faces have zero area"),
