@@ -8,7 +8,7 @@ import matplotlib
 matplotlib.use("Agg")
 
 from jaxir import plot  # noqa: E402
-from jaxir.render import Image, Signature  # noqa: E402
+from jaxir.render import Image  # noqa: E402
 
 
 def out_folder(study: str) -> Path:
@@ -21,8 +21,3 @@ def out_folder(study: str) -> Path:
 def radiance_panels(path: Path, images: Mapping[str, Image]) -> None:
     """Write `jaxir.plot.radiance_panels` to a file."""
     plot.radiance_panels(images).savefig(path, dpi=110)
-
-
-def polar_signature(path: Path, table: Signature) -> None:
-    """Write `jaxir.plot.polar_signature` to a file."""
-    plot.polar_signature(table).savefig(path, dpi=110)

@@ -19,6 +19,7 @@ from pathlib import Path
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import matplotlib
 import numpy as np
 
 import jaxir
@@ -28,7 +29,10 @@ from jaxir.io.results import save_image, save_signature, save_tiff
 from jaxir.io.sweep import sweep
 from jaxir.render import Signature
 from studies import aircraft
-from studies.charts import polar_signature, radiance_panels
+from studies.charts import radiance_panels
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
 
 Scenes = dict[str, jaxir.Scene]
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
@@ -67,7 +71,7 @@ class Effort:
 
 
 FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10)
-QUICK = Effort(step=60.0, view=40, pixels=100, samples=2, bins=(500.0, 2, 2), depth=3)
+QUICK = Effort(step=90.0, view=80, pixels=100, samples=2, bins=(500.0, 2, 2), depth=4)
 
 
 def exhaust(given: Conditions) -> tuple[jaxir.NarrowBandGas, float]:
@@ -134,7 +138,7 @@ def path_of(place: str) -> jaxir.StandardAtmosphere:
 def circles(step: float) -> dict[str, np.ndarray]:
     """Aspects [view, 2] [deg] as the aircraft turns about its three axes before the sensor."""
     turn = np.arange(0.0, 360.0, step)
-    rise = np.rad2deg(np.arcsin(np.sin(np.deg2rad(turn))))
+    rise = np.round(np.rad2deg(np.arcsin(np.sin(np.deg2rad(turn)))), 9)
     front = np.cos(np.deg2rad(turn)) > -1e-9
     return {
         "yaw": np.stack([turn, np.zeros_like(turn)], 1),
@@ -216,6 +220,27 @@ def images(
                 scattering=jaxir.Scattering(depth),
             )
     return found
+
+
+def intensities_around(path: Path, tables: Tables, step: float) -> None:
+    """Fig. 14: radiant intensity over the turn about each axis, logarithmic; suppressed dashed."""
+    axes = list(circles(step))
+    figure, panels = plt.subplots(
+        len(PLACES), len(axes), figsize=(13, 9), subplot_kw={"projection": "polar"}, layout="constrained"
+    )
+    for row, place in enumerate(PLACES):
+        for panel, axis in zip(panels[row], axes, strict=True):
+            for name, style in (("plain", "-"), ("suppressed", "--")):
+                value = np.asarray(tables[name, place, axis].intensity)
+                turn = np.deg2rad(np.arange(len(value) + 1) * step)
+                for column, band in enumerate(BANDS):
+                    closed = np.append(value[:, column], value[0, column])
+                    panel.plot(turn, closed, style, color=f"C{column}", label=f"{band.name}, {name}")
+            panel.set_rscale("log")
+            panel.set_title(f"from the {place}, {axis} [W/sr]")
+    panels[0, 0].legend(loc="lower left", bbox_to_anchor=(-0.35, -0.15), fontsize="small")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -354,7 +379,7 @@ def main(argv: list[str]) -> None:
     tables = signatures(made, nodes, effort, given, views)
     for (name, place, axis), table in tables.items():
         save_signature(out / f"{name}_{place}_{axis}.csv", table)
-        polar_signature(out / f"{name}_{place}_{axis}.png", table)
+    intensities_around(out / "intensities.png", tables, effort.step)
     after_views = time.perf_counter()
     side = from_the_side(made, nodes, min(effort.depth, given.depth))
     said = conclusions(tables, side)
