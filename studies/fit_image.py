@@ -49,10 +49,10 @@ def measured(truth: np.ndarray) -> list:
     rng = np.random.default_rng(0)
     found = []
     for camera in CAMERAS:
-        radiance = np.asarray(jaxir.render(scene(truth), camera, BANDS, samples=8).radiance)
+        radiance = np.asarray(jaxir.render(scene(truth), camera, BANDS, samples=72).radiance)
         spread = NOISE * radiance + 1e-3 * radiance.max((0, 1))  # a floor where hardly anything is seen
         noisy = radiance + spread * rng.normal(size=radiance.shape)
-        found.append(measured_image(camera, BANDS, noisy, spread, samples=8))
+        found.append(measured_image(camera, BANDS, noisy, spread, samples=72))
     return found
 
 
@@ -61,7 +61,7 @@ def main() -> None:
     truth = true_field()
     problem = prepare(scene(START), FIELD, measured(truth), priors={"temperature": SmoothPrior(SHAPE, STEP)})
     began = time.perf_counter()
-    found = solve(problem, solver=optx.LBFGS(rtol=1e-6, atol=1e-4), max_steps=400)
+    found = solve(problem, solver=optx.LBFGS(rtol=1e-6, atol=1e-4), max_steps=3000)
     seconds = time.perf_counter() - began
     value = np.asarray(found.uncertainty.value, np.float64).reshape(SHAPE)
     spread = np.asarray(found.uncertainty.standard_deviation, np.float64).reshape(SHAPE)
