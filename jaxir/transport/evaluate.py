@@ -13,7 +13,7 @@ from jaxir.transport.leaving import beyond, leaving, reflected
 from jaxir.transport.medium import GridMedium
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import Chain, Paths
-from jaxir.transport.radiometry import Radiometry, background_radiance, through_air, through_plume
+from jaxir.transport.radiometry import Radiometry, background_radiance, dimmed_by_air, through_air, through_plume
 from jaxir.transport.reflection import Reflection, reflection_of
 from jaxir.transport.scatter_sum import Orders, scatter_sum
 
@@ -72,12 +72,8 @@ def evaluate_orders(optical: Radiometry, paths: Paths, reflection: Reflection | 
     """`evaluate` for a plume with particles, with what the last two orders of scattering brought [ray, node]."""
     assert paths.scatter is not None
     orders = scatter_sum(optical, paths.scatter, reflection_of(optical.scene, reflection))
-    air = optical.transmittance
-    if air is not None:
-        orders = Orders(*(part * air[None] for part in orders))
-    if optical.path_radiance is not None:
-        orders = orders._replace(radiance=orders.radiance + optical.path_radiance[None])
-    return orders
+    last, before = (dimmed_by_air(optical, part) for part in (orders.last, orders.before))
+    return Orders(through_air(optical, orders.radiance), last, before)
 
 
 def empty_radiance(optical: Radiometry, direction: Float[Array, "*batch 3"]) -> Float[Array, "*batch node"]:

@@ -84,14 +84,16 @@ def _at_cells(scene: Scene, medium: GridMedium | JetMedium | None, nodes: Nodes,
     return (passed * source.beam(nodes, centre[0])[None]).reshape((*scene.plume.grid.shape, nodes.count))
 
 
+def dimmed_by_air(optical: Radiometry, radiance: Float[Array, "*batch node"]) -> Float[Array, "*batch node"]:
+    """transmittance * L; without air L itself."""
+    lead = (None,) * (radiance.ndim - 1)
+    return radiance if optical.transmittance is None else radiance * optical.transmittance[lead]
+
+
 def through_air(optical: Radiometry, radiance: Float[Array, "*batch node"]) -> Float[Array, "*batch node"]:
     """Equation (2): transmittance * L + path radiance; both absent means vacuum."""
-    lead = (None,) * (radiance.ndim - 1)
-    if optical.transmittance is not None:
-        radiance = radiance * optical.transmittance[lead]
-    if optical.path_radiance is not None:
-        radiance = radiance + optical.path_radiance[lead]
-    return radiance
+    radiance, lead = dimmed_by_air(optical, radiance), (None,) * (radiance.ndim - 1)
+    return radiance if optical.path_radiance is None else radiance + optical.path_radiance[lead]
 
 
 def background_radiance(optical: Radiometry, direction: Array) -> Array:

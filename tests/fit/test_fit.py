@@ -23,22 +23,11 @@ from jaxir.fit import (
     sensitivity,
     solve,
 )
-from tests.scenes import box_mesh, gray_box
+from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, looked_at, slab
+from tests.scenes import box_mesh
 
-PIXEL = jaxir.orthographic_camera(0.0, 0.0, 0.1, (1, 1))
-TEMPERATURE = Factor("temperature", lambda s: s.plume.temperature)
-DEPTH = Factor("depth", lambda s: s.plume.gas.coefficient)
 VIEWS = [(a, e) for a in (0, 40, 90, 160, 230, 300) for e in (-30, 10, 50)]
 BANDS = (jaxir.MWIR, jaxir.LWIR)
-
-
-def slab(temperature, depth):
-    return jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), depth, (1, 1, 1), temperature))
-
-
-def looked_at(scene, bands, relative=0.01):
-    radiance = np.asarray(jaxir.render(scene, PIXEL, bands, samples=2).radiance)
-    return measured_image(PIXEL, bands, radiance, relative * radiance)
 
 
 # relative standard deviations of (T, optical depth) for 1 % noise per band, from the linearised problem in closed form

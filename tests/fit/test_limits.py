@@ -11,7 +11,6 @@ import scipy.stats
 import jaxir
 from jaxir.fit import (
     Bounds,
-    Factor,
     Leaf,
     NormalPrior,
     SmoothPrior,
@@ -26,21 +25,10 @@ from jaxir.fit import (
 )
 from jaxir.transport.drift import density_ratio, effective_share
 from jaxir.transport.paths import trace
-from tests.scenes import gray_box, plate
+from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, looked_at, slab
+from tests.scenes import plate
 
-PIXEL = jaxir.orthographic_camera(0.0, 0.0, 0.1, (1, 1))
-TEMPERATURE = Factor("temperature", lambda s: s.plume.temperature)
-DEPTH = Factor("depth", lambda s: s.plume.gas.coefficient)
 THREE = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
-
-
-def slab(temperature, depth):
-    return jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), depth, (1, 1, 1), temperature))
-
-
-def looked_at(scene, bands):
-    radiance = np.asarray(jaxir.render(scene, PIXEL, bands, samples=2).radiance)
-    return measured_image(PIXEL, bands, radiance, 0.01 * radiance)
 
 
 def flagged(temperature, depth, bands):
