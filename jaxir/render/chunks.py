@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Key
 
-from jaxir._arrays import Check
-from jaxir.geometry.camera import TILE, Camera, stratum_points
+from jaxir._arrays import Check, enforce
+from jaxir.geometry.camera import TILE, Camera, pixel_strata, stratum_points
+from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.render.image import Image, image_of
 from jaxir.scene.background import AbstractUniformBackground
 from jaxir.scene.scene import Scene
@@ -111,6 +113,22 @@ class Pass(NamedTuple):
         """Tiles of a chunk, spread over the image, so that chunks cost the same; the last may lie beyond it."""
         count = self.chunks().shape[0]
         return jnp.asarray(chunk, jnp.int32) + count * jnp.arange(self.size, dtype=jnp.int32)
+
+
+def first_pass(
+    scene: Scene,
+    camera: Camera,
+    bands: Nodes | Band | Sequence[Band],
+    key: Key[Array, ""],
+    samples: int,
+    method: Method,
+    parts: int = PARTS,
+) -> Pass:
+    """A pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
+    strata = pixel_strata(samples)
+    checks = [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)]
+    optical = compiled_radiometry(scene, enforce(as_nodes(bands), checks))
+    return Pass(optical, camera, key, strata, method, parts)
 
 
 @eqx.filter_jit

@@ -10,14 +10,13 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
-from jaxir._arrays import enforce
 from jaxir.geometry.camera import Camera, pixel_strata
-from jaxir.optics.band import Band, Nodes, as_nodes
-from jaxir.render.chunks import PARTS, Pass, compiled_radiometry, estimate_chunk, eye_outside, method_of, whole_image
+from jaxir.optics.band import Band, Nodes
+from jaxir.render.chunks import PARTS, estimate_chunk, first_pass, method_of, whole_image
 from jaxir.render.devices import is_traced, over_items, shared_by
 from jaxir.render.image import Image, Outcome, joined, meets
 from jaxir.render.pilot import well_shaped
-from jaxir.render.planning import plan, require_rtol
+from jaxir.render.planning import FEW, plan_pass, require_rtol
 from jaxir.scene.scene import Scene
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.reflection import Reflection
@@ -84,27 +83,17 @@ def render(
         if is_traced((scene, camera, key, reflection, scattering, path)):
             raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
         require_rtol(rtol)
-        if planned:
-            found = plan(
-                scene,
-                camera,
-                bands,
-                rtol,
-                key=jax.random.fold_in(key, 0),
-                reflection=reflection,
-                scattering=scattering,
-                max_samples=max_samples,
-                path=path,
-            )
-            samples, reflection = found.samples, found.method.reflection
     samples = 8 if samples is None else samples
-    if max_samples < samples:
-        raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {samples}")
-    nodes = as_nodes(bands)
+    least = FEW if planned else samples
+    if max_samples < least:
+        raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
     method = method_of(scene, reflection, scattering, path)
-    nodes = enforce(nodes, [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)])
     parts = PARTS if devices is None else max(PARTS, devices.size)
-    first = Pass(compiled_radiometry(scene, nodes), camera, key, pixel_strata(samples), method, parts)
+    first = first_pass(scene, camera, bands, key, least, method, parts)
+    if planned and rtol is not None:
+        pilots = first._replace(key=jax.random.fold_in(key, 0), parts=PARTS)
+        found = plan_pass(pilots, rtol, max_samples, reflection is not None)
+        samples, first = found.samples, first._replace(method=found.method)
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 
     def take(own: Array, samples: int) -> Image:

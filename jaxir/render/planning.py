@@ -13,9 +13,9 @@ from jaxtyping import Array, Key
 from jaxir._arrays import enforce, float_dtype
 from jaxir.geometry.camera import Camera, pixel_strata
 from jaxir.geometry.sampling import Sobol
-from jaxir.optics.band import Band, Nodes, as_nodes
+from jaxir.optics.band import Band, Nodes
 from jaxir.optics.brdf import Lambert
-from jaxir.render.chunks import Method, Pass, compiled_radiometry, eye_outside, method_of
+from jaxir.render.chunks import Method, Pass, first_pass, method_of
 from jaxir.render.devices import is_traced
 from jaxir.render.pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.scene.plume import GridPlume
@@ -133,25 +133,23 @@ def plan(
     require_rtol(rtol)
     if is_traced((scene, camera, key, reflection, scattering, path)):
         raise ValueError("plan: got values known only inside jit, expected a call outside it")
-    nodes = as_nodes(bands)
+    key = jax.random.key(0) if key is None else key
     given = method_of(scene, reflection, scattering, CellSum() if path is None else path)
-    nodes = enforce(nodes, [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *given.checks(scene)])
-    first = Pass(
-        compiled_radiometry(scene, nodes),
-        camera,
-        jax.random.key(0) if key is None else key,
-        pixel_strata(FEW),
-        given,
-    )
-    methods = _candidates(scene, given) if reflection is None else [given]
+    return plan_pass(first_pass(scene, camera, bands, key, FEW, given), rtol, max_samples, reflection is not None)
+
+
+def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> Plan:
+    """`plan` for a pass of `FEW` rays per pixel that was checked; `asked`: its reflection is not to be chosen."""
+    scene, given = first.optical.scene, first.method
+    methods = [given] if asked else _candidates(scene, given)
     trials = [_Trial(method, pilot(first._replace(method=method))) for method in methods]
-    chosen = _cheapest(trials, first, rtol, max_samples)
+    chosen = _cheapest(trials, first, rtol, most)
     terms = (
-        *_along_the_ray(first.optical, camera, chosen.trial.method),
+        *_along_the_ray(first.optical, first.camera, chosen.trial.method),
         *_by_particles(scene, chosen.trial.method),
-        *_at_the_skin(scene, trials, chosen, reflection is not None),
+        *_at_the_skin(scene, trials, chosen, asked),
         *_beyond(scene),
-        _pixels(chosen, rtol, max_samples),
+        _pixels(chosen, rtol, most),
     )
     trial = chosen.trial
     return Plan(terms, trial.method, chosen.samples, chosen.seconds, trial.pilot.compile_seconds, rtol, chosen.expected)
