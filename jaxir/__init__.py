@@ -81,6 +81,7 @@ from jaxir.transport.reflection import BrdfSampling as BrdfSampling
 from jaxir.transport.reflection import ClosedForm as ClosedForm
 from jaxir.transport.reflection import LightSampling as LightSampling
 from jaxir.transport.reflection import MultipleImportance as MultipleImportance
+from jaxir.transport.reflection import PlumeLight as PlumeLight
 from jaxir.transport.reflection import Reflection as Reflection
 from jaxir.transport.reflection import SkinLight as SkinLight
 from jaxir.transport.scattering import Scattering as Scattering

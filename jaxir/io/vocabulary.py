@@ -59,6 +59,7 @@ from jaxir.transport.reflection import (
     ClosedForm,
     LightSampling,
     MultipleImportance,
+    PlumeLight,
     SkinLight,
 )
 
@@ -243,6 +244,7 @@ READERS: dict[str, Reader] = {
     "particles": _of(PARTICLES),
     "path": existing_file,
     "phase": _of(PHASES),
+    "plume": _of({"PlumeLight": PlumeLight}),
     "points": integer,
     "profile": _of(PROFILES),
     "sampler": _of(SAMPLERS),

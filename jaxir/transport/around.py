@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,6 +19,7 @@ from jaxir.optics.brdf import AbstractBrdf
 from jaxir.scene.scene import Scene
 from jaxir.transport.lights import Light, meet_light, sample_light
 from jaxir.transport.mis import mis_weight
+from jaxir.transport.plume_light import draw_towards, pdf_towards, plume_pieces, sight_of
 from jaxir.transport.reflection import Reflection, concavity
 from jaxir.transport.skin_light import draw_points, face_odds, pdf_points
 
@@ -59,6 +61,20 @@ class FacesSeen(eqx.Module):
     factor: Float[Array, "*vertex sample ray"]
 
 
+class PlumeSeen(eqx.Module):
+    """Directions in which the plume is looked for as a light, first those drawn, then those of the brdf.
+
+    Attributes:
+        omega: unit vectors [sample, ray, 3].
+        length: up to where they meet the skin [sample, ray] [m]; inf where they do not.
+        factor: as in `Around`.
+    """
+
+    omega: Float[Array, "*vertex sample ray 3"]
+    length: Float[Array, "*vertex sample ray"]
+    factor: Float[Array, "*vertex sample ray"]
+
+
 class Around(eqx.Module):
     """Sampled directions in which a point of the skin looks for each light.
 
@@ -69,12 +85,14 @@ class Around(eqx.Module):
         distance: to the light [light, sample, ray] [m]; inf for the background.
         factor: weight (9) / (number of samples * density) [light, sample, ray] [sr]; 0 where the light is not seen.
         faces: the skin as a light; None where it is none.
+        plume: the plume as a light; None where it is none.
     """
 
     omega: Float[Array, "*vertex light sample ray 3"]
     distance: Float[Array, "*vertex light sample ray"]
     factor: Float[Array, "*vertex light sample ray"]
     faces: FacesSeen | None
+    plume: PlumeSeen | None
 
 
 class Leg(eqx.Module):
@@ -120,6 +138,8 @@ def look_around(
     legs = max(own, 0 if go_on is None else 1)
     if reflection.skin is not None:
         key, at_faces = jax.random.split(key)
+    if reflection.looks_for_plume(scene):
+        key, at_plume = jax.random.split(key)
     keys = jax.random.split(key, vertex.face.shape[0])
     brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
 
@@ -148,7 +168,7 @@ def look_around(
     leg = hit = met = None
     if legs:
         limit = jnp.max(reach[:, count:], axis=0, initial=0) if own and lights else jnp.zeros_like(leg_factor)
-        if own and reflection.skin is not None:
+        if own and (reflection.skin is not None or reflection.looks_for_plume(scene)):
             limit = jnp.where(leg_factor > 0, jnp.inf, 0)
         if go_on is not None:
             limit = limit.at[0].set(jnp.where(go_on & (leg_factor[0] > 0), jnp.inf, limit[0]))
@@ -165,26 +185,80 @@ def look_around(
             leg = Leg(leg_omega[0], jnp.where(on, leg_factor[0], 0), jnp.where(on, free[0], 0), hit.face >= 0)
     if not reflection.looks(scene):
         return None, leg, hit
-    faces = None
+    faces = plume = own_legs = None
+    if met is not None and own:
+        met_at = (leaf.reshape(leg_factor.shape)[:own] for leaf in (met.face, met.t))
+        own_legs = _Legs(leg_omega[:own], leg_factor[:own], *met_at)
     if reflection.skin is not None:
-        own_legs = None
-        if own:
-            assert met is not None
-            own_legs = (leg_omega, leg_factor, met.face.reshape(leg_factor.shape), met.t.reshape(leg_factor.shape))
         faces = _look_for_faces(scene, reflection, vertex, at_faces, own_legs, hollow)
+    if reflection.looks_for_plume(scene):
+        plume = _look_for_plume(scene, reflection, vertex, at_plume, own_legs, hollow)
     factor = jnp.where(jnp.concatenate(seen, axis=1), factor, 0) if lights else factor
-    return Around(omega, distance, factor, faces), leg, hit
+    return Around(omega, distance, factor, faces, plume), leg, hit
+
+
+class _Legs(NamedTuple):
+    """Directions drawn from the brdf, 1 / density, and the face they meet at which distance, [sample, ray]."""
+
+    omega: Array
+    inverse: Array
+    face: Array
+    distance: Array
+
+
+def _drawn_share(scene: Scene, reflection: Reflection, vertex: Vertex, omega: Array, pdf: Array) -> tuple[Array, Array]:
+    """Directions [sample, ray] drawn towards a light: whether they can bring light, weight (9) / (count * pdf)."""
+    assert scene.skin is not None
+    count, own = reflection.direct.counts()
+    weight = jnp.ones_like(pdf)
+    if own:
+        brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
+        rival = jax.vmap(lambda b, w, o, n: jax.vmap(lambda w: b.pdf(w, o, n))(w), in_axes=(0, 1, 0, 0), out_axes=1)
+        weight = mis_weight(count, pdf, own, rival(brdf, omega, vertex.omega_o, vertex.normal))
+    good = (vertex.face >= 0)[None] & (pdf > 0) & (jnp.sum(omega * vertex.normal[None], axis=-1) > 0)
+    return good, _share(good, weight, count, pdf)
+
+
+def _first_met(scene: Scene, vertex: Vertex, omega: Array, good: Array, hollow: Array) -> tuple[Array, Array]:
+    """The face that each good direction [sample, ray] meets first, and where; -1 and inf for none."""
+    assert scene.skin is not None
+    flat = Rays(jnp.broadcast_to(vertex.point[None], omega.shape).reshape(-1, 3), omega.reshape(-1, 3))
+    leaving = jnp.broadcast_to(vertex.face[None], good.shape).reshape(-1)
+    end = jnp.where(good, jnp.inf, 0).astype(omega.dtype).reshape(-1)
+    search = partial(closest_hit, scene.skin.mesh, flat, t_max=end, leaving=leaving)
+    met = lax.cond(hollow, search, lambda: no_hit(flat.origin))
+    return met.face.reshape(good.shape), met.t.reshape(good.shape)
+
+
+def _look_for_plume(
+    scene: Scene, reflection: Reflection, vertex: Vertex, key: Array, legs: _Legs | None, hollow: Array
+) -> PlumeSeen:
+    """The plume as a light: directions drawn towards it, and those of legs."""
+    assert scene.plume is not None and reflection.plume is not None
+    pieces = plume_pieces(scene.plume, reflection.plume)
+    count, own = reflection.direct.counts()
+    sight = jax.vmap(partial(sight_of, pieces))(vertex.point, vertex.normal)
+    density = jax.vmap(jax.vmap(partial(pdf_towards, pieces)), in_axes=(None, 0))
+    parts = []
+    if count:
+        keys = jax.random.split(key, vertex.face.shape[0])
+        draw = partial(draw_towards, pieces, sampler=reflection.sampler, count=count)
+        omega = jax.vmap(lambda s, k: draw(s, key=k), out_axes=1)(sight, keys)
+        good, factor = _drawn_share(scene, reflection, vertex, omega, density(sight, omega))
+        parts.append((omega, _first_met(scene, vertex, omega, good, hollow)[1], factor))
+    if legs is not None:
+        sent = legs.inverse > 0
+        pdf = 1 / jnp.where(sent, legs.inverse, 1)
+        rival = density(sight, legs.omega) if count else jnp.zeros_like(pdf)
+        weight = mis_weight(own, pdf, count, rival)
+        parts.append((legs.omega, legs.distance, _share(sent, weight, own, pdf)))
+    return PlumeSeen(*(jnp.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def _look_for_faces(
-    scene: Scene,
-    reflection: Reflection,
-    vertex: Vertex,
-    key: Array,
-    legs: tuple[Array, Array, Array, Array] | None,
-    hollow: Array,
+    scene: Scene, reflection: Reflection, vertex: Vertex, key: Array, legs: _Legs | None, hollow: Array
 ) -> FacesSeen:
-    """The skin as a light: points drawn on it, and those met by legs (direction, 1 / density, face, distance)."""
+    """The skin as a light: points drawn on it, and those met by legs."""
     assert scene.skin is not None and reflection.skin is not None
     mesh, odds = scene.skin.mesh, face_odds(scene.skin, reflection.skin)
     count, own = reflection.direct.counts()
@@ -197,25 +271,15 @@ def _look_for_faces(
         offset = target - vertex.point[None]
         distance = jnp.sqrt(jnp.sum(offset * offset, axis=-1))
         omega = offset / jnp.where(distance > 0, distance, 1)[..., None]
-        pdf = density(face, omega, distance)
-        weight = jnp.ones_like(pdf)
-        if own:
-            brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
-            rival = jax.vmap(lambda b, w, o, n: jax.vmap(lambda w: b.pdf(w, o, n))(w), in_axes=(0, 1, 0, 0), out_axes=1)
-            weight = mis_weight(count, pdf, own, rival(brdf, omega, vertex.omega_o, vertex.normal))
-        good = (vertex.face >= 0)[None] & (pdf > 0) & (jnp.sum(omega * vertex.normal[None], axis=-1) > 0)
-        flat = Rays(jnp.broadcast_to(vertex.point[None], omega.shape).reshape(-1, 3), omega.reshape(-1, 3))
-        leaving = jnp.broadcast_to(vertex.face[None], face.shape).reshape(-1)
-        search = partial(closest_hit, mesh, flat, t_max=jnp.where(good, jnp.inf, 0).reshape(-1), leaving=leaving)
-        first = lax.cond(hollow, search, lambda: no_hit(flat.origin)).face.reshape(face.shape)
-        parts.append((face, omega, distance, _share(good & (first == face), weight, count, pdf)))
+        good, factor = _drawn_share(scene, reflection, vertex, omega, density(face, omega, distance))
+        first, _ = _first_met(scene, vertex, omega, good, hollow)
+        parts.append((face, omega, distance, jnp.where(first == face, factor, 0)))
     if legs is not None:
-        omega, inverse, face, distance = (leaf[:own] for leaf in legs)
-        met = (inverse > 0) & (face >= 0)
-        reach = jnp.where(met, distance, 0)
-        pdf = 1 / jnp.where(met, inverse, 1)
-        weight = mis_weight(own, pdf, count, density(face, omega, reach))
-        parts.append((jnp.where(met, face, -1), omega, reach, _share(met, weight, own, pdf)))
+        met = (legs.inverse > 0) & (legs.face >= 0)
+        reach = jnp.where(met, legs.distance, 0)
+        pdf = 1 / jnp.where(met, legs.inverse, 1)
+        weight = mis_weight(own, pdf, count, density(legs.face, legs.omega, reach))
+        parts.append((jnp.where(met, legs.face, -1), legs.omega, reach, _share(met, weight, own, pdf)))
     return FacesSeen(*(jnp.concatenate(part) for part in zip(*parts, strict=True)))
 
 

@@ -13,7 +13,14 @@ from jaxir.transport.leaving import beyond, leaving, reflected
 from jaxir.transport.medium import GridMedium
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import Chain, Paths
-from jaxir.transport.radiometry import Radiometry, background_radiance, dimmed_by_air, through_air, through_plume
+from jaxir.transport.radiometry import (
+    Radiometry,
+    background_radiance,
+    dimmed_by_air,
+    plume_transmittance,
+    through_air,
+    through_plume,
+)
 from jaxir.transport.reflection import Reflection, reflection_of
 from jaxir.transport.scatter_sum import Orders, scatter_sum
 
@@ -87,7 +94,10 @@ def _chain(optical: Radiometry, chain: Chain, reflection: Reflection) -> Array:
     def step(radiance: Array, link: tuple[Chain, Array]) -> tuple[Array, None]:
         (vertex, leg), last = (link[0].vertex, link[0].leg), link[1]
         behind = jnp.where(leg.met[:, None], radiance, 0)
-        arriving = through_plume(optical, Rays(vertex.point, leg.omega), leg.length, behind)
+        if reflection.looks_for_plume(optical.scene):  # its emission was found as that of a light
+            arriving = plume_transmittance(optical, vertex.point, leg.omega, leg.length) * behind
+        else:
+            arriving = through_plume(optical, Rays(vertex.point, leg.omega), leg.length, behind)
         left = leaving(optical, vertex, link[0].around, reflection)
         left = left + reflected(optical, vertex, leg.omega, leg.factor) * arriving
         if reflection.beyond is not None:

@@ -14,7 +14,7 @@ from jaxir.scene.source import per_node
 from jaxir.transport.around import Around, Vertex
 from jaxir.transport.closed_form import closed_form
 from jaxir.transport.lights import light_radiance
-from jaxir.transport.radiometry import Radiometry, plume_transmittance
+from jaxir.transport.radiometry import Radiometry, plume_emission, plume_transmittance
 from jaxir.transport.reflection import ClosedForm, Reflection
 
 
@@ -51,12 +51,22 @@ def leaving(
         normal = face_normal(optical.scene.skin.mesh, jnp.maximum(seen.face, 0).reshape(-1)).reshape(seen.omega.shape)
         arriving = jax.vmap(partial(_emitted, optical))(seen.face, jnp.abs(jnp.sum(normal * seen.omega, axis=-1)))
         radiance = radiance + _found(optical, vertex, seen.omega, seen.distance, seen.factor, arriving)
+    if around.plume is not None:
+        drawn = around.plume
+        point = jnp.broadcast_to(vertex.point[None], drawn.omega.shape)
+        arriving = plume_emission(optical, point, drawn.omega, jnp.where(drawn.factor > 0, drawn.length, 0))
+        radiance = radiance + jnp.sum(_reflected_each(optical, vertex, drawn.omega, drawn.factor) * arriving, axis=0)
     return radiance
+
+
+def _reflected_each(optical: Radiometry, vertex: Vertex, omega: Array, factor: Array) -> Array:
+    """`reflected` for several directions [sample, ray, node]."""
+    return jax.vmap(lambda w, f: reflected(optical, vertex, w, f))(omega, factor)
 
 
 def _found(optical: Radiometry, vertex: Vertex, omega: Array, distance: Array, factor: Array, arriving: Array) -> Array:
     """Sum over samples of reflected light that starts as `arriving` [sample, ray, node], behind the plume."""
-    value = jax.vmap(lambda w, f: reflected(optical, vertex, w, f))(omega, factor)
+    value = _reflected_each(optical, vertex, omega, factor)
     point = jnp.broadcast_to(vertex.point[None], omega.shape)
     passed = plume_transmittance(optical, point, omega, jnp.where(factor > 0, distance, 0))
     return jnp.sum(value * arriving * passed, axis=0)

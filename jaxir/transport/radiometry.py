@@ -121,6 +121,13 @@ def through_plume(optical: Radiometry, rays: Rays, length: Array, behind: Array)
     return behind if optical.medium is None else optical.medium.leg(rays, length, behind)
 
 
+def plume_emission(optical: Radiometry, point: Array, omega: Array, length: Array) -> Array:
+    """Radiance [*batch, node] of the plume alone at points along unit vectors [*batch, 3] up to `length` [*batch]."""
+    rays, nodes = Rays(point.reshape(-1, 3), omega.reshape(-1, 3)), optical.nodes.count
+    emitted = through_plume(optical, rays, length.reshape(-1), jnp.zeros((rays.count, nodes), point.dtype))
+    return emitted.reshape(length.shape + (nodes,))
+
+
 def plume_transmittance(optical: Radiometry, point: Array, omega: Array, length: Array) -> Array | float:
     """Transmittance [*batch, node] from points along unit vectors [*batch, 3] for `length` [*batch]."""
     if optical.medium is None:

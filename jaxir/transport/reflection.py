@@ -201,6 +201,28 @@ class SkinLight(eqx.Module):
         require_shape("SkinLight.exponent", self.exponent, ())
 
 
+class PlumeLight(eqx.Module):
+    """The plume as a light on the skin: worth it where a small hot plume fills little of the skin's view.
+
+    At every point directions are drawn towards pieces of the plume, each with a probability that grows as
+    volume * temperature^exponent * cos / distance^2 (and with the exhaust fraction of a jet). Such a direction brings
+    the plume's own emission up to where the ray meets the skin, as do those drawn from the brdf, and equation (9)
+    weights both. What lies behind the plume is found as without it, dimmed by the plume. Without it skin meets the
+    plume only where a path happens to go on through it.
+
+    Attributes:
+        exponent: 4 suits all wavelengths together; one wavelength, c2 / (wavelength temperature) where that is large.
+            It decides how even the samples are; the estimate has no bias for any.
+    """
+
+    exponent: Float[Array, ""]
+
+    def __init__(self, exponent: Any = 4.0):
+        """Convert to an array."""
+        self.exponent = as_float(exponent, "PlumeLight.exponent")
+        require_shape("PlumeLight.exponent", self.exponent, ())
+
+
 class Reflection(eqx.Module):
     """How reflected light is found.
 
@@ -217,6 +239,7 @@ class Reflection(eqx.Module):
         skin: how the skin's own emission is looked for by `direct`, like the lights: then it counts as a light, also
             with 0 bounces, and `beyond` stands for what skin reflects, no longer for what it emits. None: it is met
             where bounces lead.
+        plume: how the plume's emission is looked for by `direct`, in the same way; nothing in a scene without plume.
     """
 
     direct: AbstractDirect
@@ -224,6 +247,7 @@ class Reflection(eqx.Module):
     sampler: AbstractSampler
     beyond: AmbientTerm | None
     skin: SkinLight | None
+    plume: PlumeLight | None
 
     def __init__(
         self,
@@ -232,26 +256,33 @@ class Reflection(eqx.Module):
         sampler: AbstractSampler | None = None,
         beyond: AmbientTerm | None = None,
         skin: SkinLight | None = None,
+        plume: PlumeLight | None = None,
     ):
         """Join the parts; `MultipleImportance(1, 1)` and independent points unless given.
 
         Raises:
-            ValueError: bounces is not an integer >= 0; skin is to be sampled by a strategy without samples.
+            ValueError: bounces is not an integer >= 0; skin or plume is to be sampled by a strategy without samples.
         """
         self.direct = MultipleImportance() if direct is None else direct
         self.bounces = _count("Reflection.bounces", bounces, least=0)
         self.sampler = Independent() if sampler is None else sampler
         self.beyond = beyond
-        if skin is not None and sum(self.direct.counts()) == 0:
-            raise ValueError(
-                f"Reflection.skin: got SkinLight with {type(self.direct).__name__}, expected a direct "
-                "strategy that samples"
-            )
+        for field, light in (("skin", skin), ("plume", plume)):
+            if light is not None and sum(self.direct.counts()) == 0:
+                raise ValueError(
+                    f"Reflection.{field}: got {type(light).__name__} with {type(self.direct).__name__}, expected a "
+                    "direct strategy that samples"
+                )
         self.skin = skin
+        self.plume = plume
 
     def looks(self, scene: Scene) -> bool:
         """Whether any light is sampled."""
-        return self.skin is not None or len(self.lights(scene)) > 0
+        return self.skin is not None or self.looks_for_plume(scene) or len(self.lights(scene)) > 0
+
+    def looks_for_plume(self, scene: Scene) -> bool:
+        """Whether the plume is looked for as a light, so that legs from skin to skin no longer bring its emission."""
+        return self.plume is not None and scene.plume is not None
 
     def lights(self, scene: Scene) -> tuple[AbstractAreaSource | AbstractBackground, ...]:
         """What is sampled beside the skin: every source with an extent, and the background."""
@@ -261,14 +292,15 @@ class Reflection(eqx.Module):
 
     def samples(self, scene: Scene) -> int:
         """Directions recorded at each point met."""
-        lights = len(self.lights(scene)) + (self.skin is not None)
+        lights = len(self.lights(scene)) + (self.skin is not None) + self.looks_for_plume(scene)
         return max(1, lights * sum(self.direct.counts())) * (1 + self.bounces)
 
     def checks(self, scene: Scene) -> list[Check]:
         """The strategy suits the scene, the ambient radiance is not negative."""
         beyond = [] if self.beyond is None else [non_negative("AmbientTerm.radiance", self.beyond.radiance)]
         skin = [] if self.skin is None else [finite("SkinLight.exponent", self.skin.exponent)]
-        return [*self.direct.require(scene), *beyond, *skin]
+        plume = [] if self.plume is None else [finite("PlumeLight.exponent", self.plume.exponent)]
+        return [*self.direct.require(scene), *beyond, *skin, *plume]
 
 
 def reflection_of(scene: Scene, given: Reflection | None) -> Reflection | None:

@@ -25,6 +25,7 @@ from jaxir.transport.radiometry import (
     Radiometry,
     background_radiance,
     cell_lights,
+    plume_emission,
     plume_transmittance,
     surrounding_radiance,
 )
@@ -56,7 +57,7 @@ def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection |
 
     def step(state: tuple[Orders, Array], link: tuple[ScatterPath, _Place]) -> tuple[tuple[Orders, Array], None]:
         (sums, through), (leg, place) = state, link
-        brought = medium.leg(leg.rays, leg.length, _at_end(optical, leg, reflection, place))
+        brought = _unscattered(optical, leg, reflection, _at_end(optical, leg, reflection, place))
         for source, irradiance in zip(cell_lights(optical.scene), optical.irradiance, strict=True):
             assert isinstance(medium, GridMedium)
             cosine = jnp.sum(leg.rays.direction * -source.direction[None], axis=-1)
@@ -82,6 +83,15 @@ def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection |
     index = jnp.arange(count, dtype=jnp.int32)
     places = _Place(index == 0, index == count - 1)
     return lax.scan(step, (Orders(dark, dark, dark), jnp.ones_like(dark)), (path, places))[0][0]
+
+
+def _unscattered(optical: Radiometry, leg: ScatterPath, reflection: Reflection | None, behind: Array) -> Array:
+    """What comes along the legs [ray, node]: `behind` through the plume, with its emission unless found before."""
+    assert optical.medium is not None
+    if reflection is None or not reflection.looks_for_plume(optical.scene):
+        return optical.medium.leg(leg.rays, leg.length, behind)
+    own = plume_emission(optical, leg.rays.origin, leg.rays.direction, jnp.where(leg.glows, leg.length, 0))
+    return own + optical.medium.transmittance(leg.rays, leg.length) * behind
 
 
 def _at_end(optical: Radiometry, leg: ScatterPath, reflection: Reflection | None, place: _Place) -> Array:

@@ -50,6 +50,7 @@ class ScatterPath(eqx.Module):
         vertex: where the leg ends on the skin, face -1 where it does not; None without skin.
         around: lights sampled there; None where nothing is sampled.
         open: whether a leg that leaves the scene shows what surrounds it [ray]; from skin that samples it, it does not.
+        glows: whether the plume's own emission on the leg counts [ray]; not from skin that looked for it.
         place: where the path is scattered; its factor is 0 where it is not.
         omega: direction of the next leg [ray, 3].
         factor: 1 / density of that direction [ray] [sr]; 0 where the path ends, times 1 / chance of reflection rather
@@ -64,6 +65,7 @@ class ScatterPath(eqx.Module):
     vertex: Vertex | None
     around: Around | None
     open: Bool[Array, "*leg ray"]
+    glows: Bool[Array, "*leg ray"]
     place: FreePath
     omega: Float[Array, "*leg ray 3"]
     factor: Float[Array, "*leg ray"]
@@ -106,6 +108,7 @@ def follow(
     bounces = 0 if reflection is None else reflection.bounces
     index = jnp.arange(max(scattering.orders, bounces) + 1, dtype=jnp.int32)
     lights = () if reflection is None else reflection.lights(scene)
+    looked_for = reflection is not None and reflection.looks_for_plume(scene)
 
     def step(state: _State, drawn: tuple[Array, Array, Array]) -> tuple[_State, ScatterPath]:
         key, more, may_bounce = drawn
@@ -122,7 +125,7 @@ def follow(
         omega, factor = _scattered(scene, state.rays.direction, for_omega)
         factor = jnp.where(scattered, factor, 0)
         beams = _beams(scene, point, scattered, for_beams)
-        sight = (state.rays, state.length, state.vertex, around, state.open)
+        sight = (state.rays, state.length, state.vertex, around, state.open, state.glows)
         link = ScatterPath(*sight, place, omega, factor, beams, state.events, scattering.orders)
         onward = Rays(point, omega)
         hit = _meet(scene, onward, scattered)
@@ -138,11 +141,13 @@ def follow(
         if state.vertex is not None and state.vertex.glows is not None:
             vertex = eqx.tree_at(lambda v: v.glows, vertex, scattered, is_leaf=lambda x: x is None)
         events = state.events + scattered.astype(jnp.int32)
-        return _State(onward, hit.t, vertex, scattered | (len(lights) == 0), events), link
+        opened, glows = scattered | (len(lights) == 0), scattered | (not looked_for)
+        return _State(onward, hit.t, vertex, opened, glows, events), link
 
     if vertex is not None and reflection is not None and reflection.skin is not None:
         vertex = eqx.tree_at(lambda v: v.glows, vertex, vertex.face >= 0, is_leaf=lambda x: x is None)
-    state = _State(rays, hit.t, vertex, jnp.ones(hit.t.shape, bool), jnp.zeros(hit.t.shape, jnp.int32))
+    always = jnp.ones(hit.t.shape, bool)
+    state = _State(rays, hit.t, vertex, always, always, jnp.zeros(hit.t.shape, jnp.int32))
     keys = jax.random.split(key, index.shape[0])
     return lax.scan(step, state, (keys, index < index.shape[0] - 1, index < bounces))[1]
 
@@ -154,6 +159,7 @@ class _State(NamedTuple):
     length: Array
     vertex: Vertex | None
     open: Array
+    glows: Array
     events: Array
 
 

@@ -8,7 +8,17 @@ import pytest
 from scipy.stats import norm
 
 import jaxir
-from jaxir import AmbientTerm, BrdfSampling, ClosedForm, LightSampling, MultipleImportance, Reflection, SkinLight, Sobol
+from jaxir import (
+    AmbientTerm,
+    BrdfSampling,
+    ClosedForm,
+    LightSampling,
+    MultipleImportance,
+    PlumeLight,
+    Reflection,
+    SkinLight,
+    Sobol,
+)
 from jaxir._arrays import enforce
 from jaxir.geometry.form_factor import disc_vector, polygon_form_factor
 from jaxir.geometry.ray import Rays
@@ -170,7 +180,7 @@ def test_a_hot_plume_lights_the_skin():
     gas = gray_box((1.0, 1.0, 1.0), 1e3, temperature=500.0)
     grid = eqx.tree_at(lambda g: g.origin, gas.grid, jnp.asarray([-0.5, -0.5, 1.0]))
     scene = jaxir.Scene(plate(), jaxir.GridPlume(grid, 500.0, gas.gas))
-    got = look(scene, rays_down(raster(96)), ONE_BOUNCE, jax.random.key(4))
+    got = look(scene, rays_down(raster(96)), Reflection(plume=PlumeLight()), jax.random.key(4))
     agrees(got, 0.5 * black(500.0) * 0.199824895698, 0.15)
 
 
@@ -207,15 +217,23 @@ def test_a_hot_patch_drawn_as_a_light_has_its_form_factor(direct):
         assert met > 1000 * difference.var()
 
 
-def test_a_hot_patch_in_a_box_drawn_as_a_light_or_met_by_bounces():
-    """The same orders of reflection either way, and far less scatter where the patch is drawn."""
+def test_a_hot_patch_and_a_plume_in_a_box_drawn_as_lights_or_met_by_bounces():
+    """The same orders of reflection either way, and far less scatter where patch and plume are drawn.
+
+    The plume lies about some of the points seen and reaches through a wall, which hides its far end.
+    """
     box = open_box(jaxir.Lambert(0.5)).mesh
     patch = PATCH - [0.01, 0.0, 0.0]
     mesh = jaxir.Mesh(np.concatenate([box.vertices, patch]), np.concatenate([box.faces, TWO + 8]))
     temperature = [300.0] * 10 + [900.0] * 2
-    scene = jaxir.Scene(jaxir.Skin(mesh, temperature, jaxir.Lambert([0.5] * 10 + [0.9] * 2)))
+    grid = jaxir.Grid((-0.7, -0.5, -0.6), (0.1, 0.15, 0.1), (4, 4, 3))
+    plume = jaxir.GridPlume(grid, np.linspace(300, 700, 48).reshape(4, 4, 3), jaxir.GrayGas(2.0))
+    scene = jaxir.Scene(jaxir.Skin(mesh, temperature, jaxir.Lambert([0.5] * 10 + [0.9] * 2)), plume)
     rays = rays_down(0.9 * raster(64), 2.0)
-    sharp, drawn = (Reflection(MultipleImportance(), bounces=2, skin=SkinLight(power)) for power in (8.0, 4.0))
+    sharp, drawn = (
+        Reflection(MultipleImportance(), bounces=2, skin=SkinLight(power), plume=PlumeLight(power))
+        for power in (8.0, 4.0)
+    )
     met = Reflection(BrdfSampling(), bounces=3)
     moments = []
     for place, method in enumerate((sharp, drawn, met)):
@@ -455,8 +473,11 @@ def test_what_does_not_apply_is_refused():
         BrdfSampling(0)
     with pytest.raises(ValueError, match="Reflection.skin: got SkinLight with ClosedForm"):
         Reflection(ClosedForm(), skin=SkinLight())
-    with pytest.raises(ValueError, match="SkinLight.exponent: got nan"):
-        enforce(NODES, Reflection(skin=SkinLight(np.nan)).checks(lit))
+    with pytest.raises(ValueError, match="Reflection.plume: got PlumeLight with ClosedForm"):
+        Reflection(ClosedForm(), plume=PlumeLight())
+    for method in (Reflection(skin=SkinLight(np.nan)), Reflection(plume=PlumeLight(np.nan))):
+        with pytest.raises(ValueError, match="Light.exponent: got nan"):
+            enforce(NODES, method.checks(lit))
     with pytest.raises(ValueError, match="Reflection.bounces: got -1"):
         Reflection(bounces=-1)
 

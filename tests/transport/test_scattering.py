@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir import Reflection, Scattering, SkinLight
+from jaxir import PlumeLight, Reflection, Scattering, SkinLight
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import gray_nodes
 from jaxir.transport.evaluate import evaluate
@@ -193,10 +193,10 @@ def across(count):
     return Rays(origin, direction / jnp.linalg.norm(direction, axis=-1, keepdims=True))
 
 
-@pytest.mark.parametrize("skin", [None, SkinLight()], ids=["skin met", "skin drawn"])
-def test_furnace_with_particles_and_reflecting_skin(skin):
+@pytest.mark.parametrize("lights", [{}, {"skin": SkinLight(), "plume": PlumeLight()}], ids=["met", "drawn"])
+def test_furnace_with_particles_and_reflecting_skin(lights):
     """O10: everything at one temperature is one radiance; beyond 8 bounces and orders .4^9 is left out."""
-    method = Reflection(bounces=8, skin=skin)
+    method = Reflection(bounces=8, **lights)
     got = look(furnace(0.7, 0.4), across(8_000), jax.random.key(6), Scattering(8), method)
     assert bool(jnp.isfinite(got).all())
     agrees(np.asarray(got) / BLACK, 1.0, 0.01, bias=5e-4)
