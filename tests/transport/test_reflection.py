@@ -336,43 +336,23 @@ def test_a_furnace_has_no_slope_in_emissivity(mode, x64):
     assert abs(float(slope)) < 1e-9 * float(level[0])
 
 
-def test_slopes_under_bounces_are_those_of_the_expected_value():
-    """Paint in a cavity that is hotter at its floor: pathwise slope against differences of other samples' means."""
-    method = Reflection(BrdfSampling(), bounces=5)
-    rays = rays_down(0.9 * raster(128), 2.0)
-    body = open_box(jaxir.Lambert(0.5)).mesh
-
-    def radiance(parameters, key):
-        brdf = jaxir.SandfordRobertson(parameters[0], 0.2, parameters[1], 0.3)
-        return look(jaxir.Scene(jaxir.Skin(body, np.linspace(300.0, 600.0, 10), brdf)), rays, method, key)
-
-    at = jnp.asarray([0.4, 0.4])
-    for index, step in enumerate((0.05, 0.05)):
-        along = jnp.zeros(2).at[index].set(1.0)
-        slope = np.asarray(jax.jvp(lambda p: radiance(p, jax.random.key(10)), (at,), (along,))[1], float)
-        # common random numbers inside the difference, others than the slope's
-        ends = [np.asarray(radiance(at + s * step * along, jax.random.key(11)), float) for s in (1, -1)]
-        difference = (ends[0] - ends[1]) / (2 * step)
-        error = np.hypot(slope.std(), difference.std()) / np.sqrt(slope.size)
-        # the second order of the difference is below 1 % of the slope at these steps
-        assert abs(slope.mean() - difference.mean()) < 4 * error + 0.01 * abs(slope.mean()), index
-        assert error < 0.2 * abs(slope.mean()), (index, error, slope.mean())
-
-
 # No bias ------------------------------------------------------------------------------------------------------------
 
 
-def random_scene(seed):
-    """Three boxes of random sizes, temperatures and paints around the origin, a disc, a ball and a sky."""
+def random_scene(seed, values=None):
+    """Three boxes of random sizes, temperatures and paints around the origin, a disc, a ball and a sky.
+
+    `values` are the emissivity of each box and the width of the paint's lobe, instead of random ones.
+    """
     draw = np.random.default_rng(seed)
     meshes = [box_mesh(draw.uniform(0.3, 1.0, 3), draw.uniform(-0.8, 0.8, 3)) for _ in range(3)]
     vertices = np.concatenate([m.vertices for m in meshes])
     faces = np.concatenate([np.asarray(m.faces) + 8 * i for i, m in enumerate(meshes)])
-    share = draw.uniform(0.1, 0.6, 36)
-    kinds = [
-        jaxir.Lambert(draw.uniform(0.1, 0.9, 36)),
-        jaxir.SandfordRobertson(share, (1 - share) * 0.2, draw.uniform(0.2, 0.6, 36), 0.2),
-    ]
+    share, dull, width = draw.uniform(0.1, 0.6, 36), draw.uniform(0.1, 0.9, 36), draw.uniform(0.2, 0.6, 36)
+    if values is not None:
+        share = dull = jnp.repeat(values[:3], 12)
+        width = jnp.broadcast_to(values[3], (36,))
+    kinds = [jaxir.Lambert(dull), jaxir.SandfordRobertson(share, (1 - share) * 0.2, width, 0.2)]
     skin = jaxir.Skin(
         jaxir.Mesh(vertices, faces), draw.uniform(300, 500, 36), jaxir.BrdfPerFace(kinds, draw.integers(0, 2, 36))
     )
@@ -385,10 +365,12 @@ def random_scene(seed):
     return jaxir.Scene(skin, sources=sources, background=jaxir.UniformBackground(draw.uniform(1, 30)))
 
 
+ACROSS = rays_down(2.4 * raster(24), 4.0)  # the scene from above, 100 rays per m2
+
+
 def test_strategies_agree_on_random_scenes():
     """Light, brdf and both, ten bounces, 20 scenes: 60 differences, one in 100 runs of the family may fail."""
-    x = np.stack(np.meshgrid(*(np.linspace(-1.2, 1.2, 24),) * 2, indexing="ij"), axis=-1).reshape(-1, 2)
-    rays = rays_down(x, 4.0)
+    rays = ACROSS
     methods = [Reflection(d, bounces=10) for d in (LightSampling(), BrdfSampling(), MultipleImportance())]
     worst, power = 0.0, []
     for seed in range(20):
@@ -404,6 +386,38 @@ def test_strategies_agree_on_random_scenes():
             power.append(np.hypot(sa, sb) / a)
     assert np.median(power) < 0.05
     assert norm.sf(worst) * 2 > 1 - 0.99 ** (1 / 60), worst
+
+
+def test_slopes_under_bounces_are_those_of_the_expected_intensity():
+    """W/sr per unit of emissivity of each box, and of lobe width: pathwise against differences with other samples.
+
+    Ten bounces, 5 scenes: 20 slopes, one in 100 runs of the family may fail.
+    """
+    method, repeats, step = Reflection(MultipleImportance(), bounces=10), 2, 0.04
+    at = jnp.asarray([0.3, 0.5, 0.7, 0.4])
+
+    def intensity(seed, values, key):
+        """What each ray adds to the intensity [ray] [W/sr]."""
+        return look(random_scene(seed, values), ACROSS, method, key) * 0.01
+
+    worst, power = 0.0, []
+    for seed in range(5):
+        for along in jnp.eye(4):
+            found = [[], []]
+            for repeat in range(repeats):
+                own, other = (jax.random.key(100 * seed + 2 * repeat + i) for i in range(2))
+                slope = jax.jvp(lambda v, seed=seed, own=own: intensity(seed, v, own), (at,), (along,))[1]
+                found[0].append(np.asarray(slope, float))
+                # common random numbers inside the difference, others than the slope's
+                ends = [np.asarray(intensity(seed, at + s * step * along, other), float) for s in (1, -1)]
+                found[1].append((ends[0] - ends[1]) / (2 * step))
+            means = [np.sum(part) / repeats for part in found]
+            # rays differ from each other, so the scatter is that of the repeats of each
+            error = np.sqrt(sum(np.sum(np.var(part, axis=0, ddof=1)) / repeats for part in found))
+            worst = max(worst, abs(means[0] - means[1]) / error)
+            power.append(error / abs(means[0]))
+    assert np.median(np.reshape(power, (5, 4))[:, :3]) < 0.1
+    assert norm.sf(worst) * 2 > 1 - 0.99 ** (1 / 20), worst
 
 
 # Delta sources, surroundings, bad input -----------------------------------------------------------------------------
