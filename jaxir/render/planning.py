@@ -109,9 +109,9 @@ def plan(
 ) -> Plan:
     """How to meet a tolerance on the intensity of every band, and at what cost, before an image is computed.
 
-    What has no variance is chosen without trial: the exact sum over cells, delta sources, a closed form of reflected
-    light where its conditions hold. For the rest every candidate computes a few chunks of the image; variance as it
-    falls with the rays (`ErrorLaw`), and time, as it grows with them, decide.
+    What has no variance is chosen without trial: the exact sum over cells, delta sources. For reflected light, by a
+    closed form where its conditions hold or sampled, every candidate computes a few chunks of the image; variance as
+    it falls with the rays (`ErrorLaw`), and time, as it grows with them, decide.
 
     Args:
         scene: the scene.
@@ -168,13 +168,13 @@ class _Choice(NamedTuple):
 
 
 def _candidates(scene: Scene, given: Method) -> list[Method]:
-    """Ways to find reflected light; the one without variance alone, where it applies."""
+    """Ways to find reflected light; where one without variance applies, it and the cheapest draw."""
     if scene.skin is None or not scene.area_sources:  # nothing to be sampled
         return [given]
     closed = Method(Reflection(ClosedForm()), given.scattering, given.path)
     try:
         enforce(scene.skin.temperature, closed.checks(scene))
-        return [closed]
+        return [closed, Method(Reflection(LightSampling(1)), given.scattering, given.path)]
     except ValueError:
         pass
     ways = [
@@ -195,7 +195,7 @@ def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Cho
     chosen = _choice(trials[best], some[best], None, rtol, most)
     if chosen.samples == FEW:
         return chosen
-    count = well_shaped(min(max(chosen.samples // 16, MORE[0]), MORE[1]))[-1]
+    count = well_shaped(min(max(chosen.samples // 4, MORE[0]), MORE[1]))[-1]
     more = pilot(first._replace(method=trials[best].method, strata=pixel_strata(count)))
     edge = error_law((FEW, trials[best].pilot), (count, more)).edge
     growth = (more.seconds / trials[best].pilot.seconds - 1) / (count - FEW)
@@ -280,7 +280,7 @@ def _at_the_skin(scene: Scene, trials: list[_Trial], chosen: _Choice, asked: boo
     if asked:
         sentence = f"by {name}, as asked"
     elif exact:
-        sentence = f"by {name}, whose conditions hold: no samples and no variance"
+        sentence = f"by {name}, whose conditions hold: no samples and no variance of its own"
     else:
         others = [t for t in trials if t is not chosen.trial]
         sentence = f"sampled by {name}, the cheapest of {len(trials)} in pilots: " + ", ".join(
