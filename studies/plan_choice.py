@@ -60,6 +60,9 @@ def scenes():
         for absorption in (1e-3, 3.0):
             whole = jaxir.Scene(skin(BODY, 320.0), plume(absorption), (SUN,))
             yield f"skin, plume {absorption}, sun, {name}", whole, none, pixel
+        soot = jaxir.GrayParticles(0.3, 0.6, jaxir.HenyeyGreenstein(0.5))
+        sooty = jaxir.GridPlume(GRID, 1200.0, jaxir.GrayGas(0.05), soot)
+        yield f"particles, sun, {name}", jaxir.Scene(plume=sooty, sources=(SUN,)), none, pixel
     for radius, temperature in ((0.2, 3.0), (1.5, 3.0), (0.5, 300.0)):
         lamp = jaxir.SphereSource((4.0, 3.0, 0.0), radius, 100.0)
         yield f"lamp {radius}, {temperature} K", jaxir.Scene(skin(BODY, temperature), sources=(lamp,)), WAYS, wide
@@ -85,10 +88,11 @@ def relative_error(image):
 
 
 def by_hand(scene, eye, ways, rtol):
-    """The fewest samples of each way that meet the tolerance: (way, samples)."""
+    """The fewest samples of each way that meet the tolerance in two of three draws: (way, samples)."""
     for name, reflection in ways.items():
         for samples in SAMPLES:
-            if relative_error(look(scene, eye, samples, reflection)) <= rtol:
+            errors = [relative_error(look(scene, eye, samples, reflection, key)) for key in range(3)]
+            if statistics.median(errors) <= rtol:
                 yield name, samples
                 break
 

@@ -52,13 +52,15 @@ def test_render_follows_the_plan_which_foretells_its_error(rtol):
     assert (found.samples > 2) == (rtol < 0.01)
 
 
-def test_a_closed_form_is_chosen_where_it_holds():
-    disc = jaxir.DiscSource((3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 1.0, 100.0)
-    found = jaxir.plan(jaxir.Scene(plate(), sources=(disc,)), CAMERA, jaxir.LWIR, 0.02)
+def test_a_closed_form_is_chosen_where_it_holds_and_samples_would_vary():
+    """A plate close to a disc larger than itself, which sampled points of the disc light unevenly."""
+    disc = jaxir.DiscSource((0.3, 0.0, 0.0), (-1.0, 0.0, 0.0), 2.0, 1000.0)
+    scene = jaxir.Scene(plate(temperature=3.0), sources=(disc,))
+    found = jaxir.plan(scene, CAMERA, jaxir.LWIR, 0.003)
     assert isinstance(found.method.reflection.direct, jaxir.ClosedForm)
     assert {term.name: term.exact for term in found.terms}["Reflected light"]
     asked = jaxir.Reflection(jaxir.LightSampling(2))
-    kept = jaxir.plan(jaxir.Scene(plate(), sources=(disc,)), CAMERA, jaxir.LWIR, 0.02, reflection=asked)
+    kept = jaxir.plan(scene, CAMERA, jaxir.LWIR, 0.02, reflection=asked)
     assert kept.method.reflection == asked
     assert "as asked" in str(kept)
 

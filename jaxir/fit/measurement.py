@@ -12,9 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxir._arrays import Check, as_float, enforce, positive
-from jaxir.geometry.camera import Camera, fitted_camera
+from jaxir.geometry.camera import Camera
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.scene.scene import Scene
+from jaxir.transport.brightness import graded_cameras
+from jaxir.transport.radiometry import compiled_radiometry
 from jaxir.transport.reflection import Reflection
 
 
@@ -62,7 +64,7 @@ def measured_intensity(
     """Measured contrast intensities over aspects, as `signature` predicts them.
 
     Args:
-        scene: whose outline the images must hold; only its geometry is used.
+        scene: whose outline the images must hold, and whose brightness says where rays are worth most.
         views: azimuth and elevation [view, 2] [deg].
         bands: bands or nodes.
         value: [view, band] [W sr-1].
@@ -82,8 +84,7 @@ def measured_intensity(
     aspect = as_float(views, "views")
     if aspect.ndim != 2 or aspect.shape[1] != 2:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
-    extent = scene.extent()
-    cameras = jax.vmap(lambda a: fitted_camera(a[0], a[1], extent, shape, distance))(aspect)
+    cameras = graded_cameras(compiled_radiometry(scene, nodes), aspect, shape, distance)
     wanted = (aspect.shape[0], len(nodes.names))
     return _measurement(value, standard_deviation, wanted, cameras, nodes, reflection, samples, False)
 

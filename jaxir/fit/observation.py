@@ -193,8 +193,7 @@ def _widened(measurement: Measurement, scene: Scene) -> Camera:
     extent = scene.extent()
 
     def widen(camera: Camera) -> Array:
-        local = (extent - camera.target[None, :]) @ camera.frame.T
-        half = jnp.max(jnp.abs(local[:, :2] / (1 - local[:, 2:] * camera.inverse_range)), axis=0)
+        half = jnp.max(jnp.abs(camera.project(extent)), axis=0)
         rows, columns = camera.shape
         return jnp.maximum(camera.pixel, 2 * half / jnp.asarray([columns, rows], half.dtype))
 

@@ -8,7 +8,7 @@ rays traced together share their work.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,6 +22,13 @@ from jaxir.geometry.ray import Bundle
 TILE = 16
 
 
+class Grading(NamedTuple):
+    """Edges of pixels as shares of the image, rising from 0 to 1: of columns from the left, of rows from the top."""
+
+    columns: Float[Array, " column_edge"]
+    rows: Float[Array, " row_edge"]
+
+
 class Camera(eqx.Module):
     """A pinhole at a range, or at infinity.
 
@@ -29,8 +36,9 @@ class Camera(eqx.Module):
         target: the point in the middle of the image [3] [m].
         frame: rows u (right in the image), v (up), w (from the target to the eye) [3, 3].
         inverse_range: 1 / range [m-1]; 0 for an orthographic camera.
-        pixel: size of a pixel in the plane through the target [2] along u and v [m].
+        pixel: size of a pixel in the plane through the target [2] along u and v [m]; the mean size of graded ones.
         shape: rows and columns.
+        grading: where pixels of unequal size lie; None for equal ones.
     """
 
     target: Float[Array, " 3"]
@@ -38,6 +46,7 @@ class Camera(eqx.Module):
     inverse_range: Float[Array, ""]
     pixel: Float[Array, " 2"]
     shape: tuple[int, int] = eqx.field(static=True)
+    grading: Grading | None = None
 
     @property
     def tiles(self) -> tuple[int, int]:
@@ -52,13 +61,22 @@ class Camera(eqx.Module):
             offset: place inside each pixel, in [0, 1) along columns and rows.
 
         Returns:
-            Screen points [tile, pixel, 2] [m]; pixels beyond the image's edge continue its raster.
+            Screen points [tile, pixel, 2] [m]; pixels beyond the image's edge continue its raster, or where it is
+            graded repeat its last row or column.
         """
         row, column = self._raster(tile)
-        dtype = offset.dtype
-        x = column.astype(dtype) + offset[..., 0] - self.shape[1] / 2
-        y = self.shape[0] / 2 - (row.astype(dtype) + offset[..., 1])
-        return jnp.stack([x * self.pixel[0], y * self.pixel[1]], axis=-1)
+        if self.grading is None:
+            x = column.astype(offset.dtype) + offset[..., 0]
+            y = row.astype(offset.dtype) + offset[..., 1]
+        else:
+            x = self.shape[1] * _between(self.grading.columns, column, offset[..., 0])
+            y = self.shape[0] * _between(self.grading.rows, row, offset[..., 1])
+        return jnp.stack([(x - self.shape[1] / 2) * self.pixel[0], (self.shape[0] / 2 - y) * self.pixel[1]], axis=-1)
+
+    def project(self, point: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+        """Screen points of points of the scene [m]."""
+        local = (point - self.target[(None,) * (point.ndim - 1)]) @ self.frame.T
+        return local[..., :2] / (1 - local[..., 2:] * self.inverse_range)
 
     def _raster(self, tile: Int[Array, " tile"]) -> tuple[Int[Array, "tile pixel"], Int[Array, "tile pixel"]]:
         """Row and column of every pixel of tiles, beyond the image's edge too."""
@@ -91,11 +109,18 @@ class Camera(eqx.Module):
         The irradiance at the pupil on a plane facing the target is E = sum L cos(theta) dOmega with
         dOmega cos(theta) = (pixel / range)^2 cos^4(theta), and the intensity I = E range^2.
         """
-        dtype = self.pixel.dtype
-        x = (jnp.arange(self.shape[1]).astype(dtype) + 0.5 - self.shape[1] / 2) * self.pixel[0]
-        y = (jnp.arange(self.shape[0]).astype(dtype) + 0.5 - self.shape[0] / 2) * self.pixel[1]
+        (x, width), (y, height) = (self._pixels(axis) for axis in (0, 1))
         tangent = (y[:, None] ** 2 + x[None, :] ** 2) * self.inverse_range**2
-        return self.pixel[0] * self.pixel[1] / (1 + tangent) ** 2
+        return height[:, None] * width[None, :] / (1 + tangent) ** 2
+
+    def _pixels(self, axis: int) -> tuple[Float[Array, " pixel"], Float[Array, " pixel"]]:
+        """Distance of the middle of columns (axis 0) or rows (axis 1) from the image's, and their size [m]."""
+        count = self.shape[1 - axis]
+        if self.grading is None:
+            middle = jnp.arange(count).astype(self.pixel.dtype) + 0.5 - count / 2
+            return middle * self.pixel[axis], jnp.broadcast_to(self.pixel[axis], (count,))
+        edges = (self.grading[axis] - 0.5) * count * self.pixel[axis]
+        return (edges[1:] + edges[:-1]) / 2, edges[1:] - edges[:-1]
 
     def checks(self) -> list[Check]:
         """The target is finite, the frame a number, pixels have positive size."""
@@ -105,6 +130,12 @@ class Camera(eqx.Module):
             finite("Camera.inverse_range", self.inverse_range),
             positive("Camera.pixel", self.pixel),
         ]
+
+
+def _between(edges: Float[Array, " edge"], pixel: Int[Array, "*batch"], offset: Float[Array, "*batch"]) -> Array:
+    """Place inside pixels between edges [*batch]."""
+    first = jnp.minimum(pixel, edges.shape[0] - 2)
+    return edges[first] + offset * (edges[first + 1] - edges[first])
 
 
 def view_frame(azimuth: Any, elevation: Any) -> Float[Array, "3 3"]:
@@ -208,22 +239,27 @@ def fitted_camera(
     Returns:
         The camera, aimed at the middle of the outline.
     """
-    frame = view_frame(azimuth, elevation)
+    return camera_around(view_frame(azimuth, elevation), extent, shape, distance)
+
+
+def camera_around(
+    frame: Float[Array, "3 3"], extent: Float[Array, "corner 3"], shape: tuple[int, int], distance: Any = np.inf
+) -> Camera:
+    """As `fitted_camera`, with an image frame of any roll."""
     inverse = 1 / as_float(distance, "distance")
     require_shape("distance", inverse, ())
+    rows, columns = _shape(shape)
     centre = (extent.max(axis=0) + extent.min(axis=0)) / 2
 
-    def outline(middle: Array) -> Array:
-        local = (extent - middle[None, :]) @ frame.T
-        return local[:, :2] / (1 - local[:, 2:] * inverse)
+    def aimed(target: Array) -> Camera:
+        return Camera(target, frame, inverse, jnp.ones_like(target[:2]), (rows, columns))
 
-    seen = outline(centre)
+    seen = aimed(centre).project(extent)
     target = centre + ((seen.max(axis=0) + seen.min(axis=0)) / 2) @ frame[:2]
-    half = jnp.max(jnp.abs(outline(target)), axis=0)  # the eye moved along, so the outline is taken again
-    rows, columns = _shape(shape)
+    camera = aimed(target)
+    half = jnp.max(jnp.abs(camera.project(extent)), axis=0)  # the eye moved along, so the outline is taken again
     half = jnp.maximum(half, 1e-6 * jnp.max(half))  # a plate seen edge-on still has an image
-    pixel = half * 2.002 / as_float(np.array([columns, rows]))
-    return Camera(target, frame, inverse, pixel, (rows, columns))
+    return eqx.tree_at(lambda c: c.pixel, camera, half * 2.002 / as_float(np.array([columns, rows])))
 
 
 def pixel_strata(samples: int) -> tuple[int, int]:

@@ -20,7 +20,7 @@ from jaxir.scene.scene import Scene
 from jaxir.transport.evaluate import empty_radiance, evaluate, evaluate_orders
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
 from jaxir.transport.paths import trace
-from jaxir.transport.radiometry import Radiometry, radiometry
+from jaxir.transport.radiometry import Radiometry, compiled_radiometry
 from jaxir.transport.reflection import Reflection, reflection_of
 from jaxir.transport.scattering import Scattering, scattering_of
 
@@ -70,9 +70,6 @@ class Estimate(NamedTuple):
     variance: Array
     empty: Array
     orders: Array | None
-
-
-compiled_radiometry = eqx.filter_jit(radiometry)
 
 
 class Pass(NamedTuple):

@@ -39,6 +39,7 @@ from jaxir.transport.scattering import Scattering
 
 FEW = 2  # rays per pixel of the first pilots
 MORE = (12, 128)  # at least and at most, of the second
+LEAST_GROWTH = 0.25  # share of a pilot's time that its rays take at least: clocks are coarse, other work disturbs
 LEAST = 8  # units of the last place: a relative tolerance below is beyond the precision in force
 MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
 
@@ -109,9 +110,9 @@ def plan(
 ) -> Plan:
     """How to meet a tolerance on the intensity of every band, and at what cost, before an image is computed.
 
-    What has no variance is chosen without trial: the exact sum over cells, delta sources, a closed form of reflected
-    light where its conditions hold. For the rest every candidate computes a few chunks of the image; variance as it
-    falls with the rays (`ErrorLaw`), and time, as it grows with them, decide.
+    What has no variance is chosen without trial: the exact sum over cells, delta sources. For reflected light, by a
+    closed form where its conditions hold or sampled, every candidate computes a few chunks of the image; variance as
+    it falls with the rays (`ErrorLaw`), and time, as it grows with them, decide.
 
     Args:
         scene: the scene.
@@ -168,13 +169,13 @@ class _Choice(NamedTuple):
 
 
 def _candidates(scene: Scene, given: Method) -> list[Method]:
-    """Ways to find reflected light; the one without variance alone, where it applies."""
+    """Ways to find reflected light; where one without variance applies, it and the cheapest draw."""
     if scene.skin is None or not scene.area_sources:  # nothing to be sampled
         return [given]
     closed = Method(Reflection(ClosedForm()), given.scattering, given.path)
     try:
         enforce(scene.skin.temperature, closed.checks(scene))
-        return [closed]
+        return [closed, Method(Reflection(LightSampling(1)), given.scattering, given.path)]
     except ValueError:
         pass
     ways = [
@@ -191,27 +192,34 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
 def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Choice:
     """First as if all variance were that of lights; then with the silhouettes' share, from a second pilot."""
     some = [ErrorLaw(trial.pilot.variance * FEW, np.zeros_like(trial.pilot.variance)) for trial in trials]
-    best = min(range(len(trials)), key=lambda i: _choice(trials[i], some[i], None, rtol, most).seconds)
-    chosen = _choice(trials[best], some[best], None, rtol, most)
+    choices = [_choice(trial, law, None, rtol, most) for trial, law in zip(trials, some, strict=True)]
+    best = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
+    chosen = choices[best]
     if chosen.samples == FEW:
         return chosen
-    count = well_shaped(min(max(chosen.samples // 16, MORE[0]), MORE[1]))[-1]
+    count = well_shaped(min(max(chosen.samples // 4, MORE[0]), MORE[1]))[-1]
     more = pilot(first._replace(method=trials[best].method, strata=pixel_strata(count)))
     edge = error_law((FEW, trials[best].pilot), (count, more)).edge
-    growth = (more.seconds / trials[best].pilot.seconds - 1) / (count - FEW)
+    little = trials[best].pilot.seconds
+    growth = max(more.seconds - little, LEAST_GROWTH * more.seconds) / (count - FEW) / little
     choices = []
     for trial in trials:
         samples, seen = (count, more) if trial is trials[best] else (FEW, trial.pilot)
         noise = np.maximum(seen.variance * samples - edge / samples**0.5, 0)
         choices.append(_choice(trial, ErrorLaw(noise, edge), growth, rtol, most))
-    return min(choices, key=lambda choice: choice.seconds)
+    return min(choices, key=lambda choice: _cost(choice, rtol))
+
+
+def _cost(choice: _Choice, rtol: float) -> tuple[bool, float]:
+    """Methods that meet the tolerance first, then by time."""
+    return choice.expected > rtol, choice.seconds
 
 
 def _choice(trial: _Trial, law: ErrorLaw, growth: float | None, rtol: float, most: int) -> _Choice:
     """Rays per pixel and time that a method needs; `growth` of the time with each ray more, in that of a pilot."""
     intensity = np.abs(trial.pilot.intensity)
     samples = law.samples((MARGIN * rtol * intensity) ** 2, most)
-    each = 1 / FEW if growth is None else max(growth, 0.0)
+    each = 1 / FEW if growth is None else growth
     error = np.sqrt(law.variance(samples))
     expected = float(np.max(np.divide(error, intensity, out=np.full_like(error, np.inf), where=intensity > 0)))
     return _Choice(trial, samples, trial.pilot.seconds * (1 + each * (samples - FEW)), expected if error.any() else 0.0)
@@ -280,7 +288,7 @@ def _at_the_skin(scene: Scene, trials: list[_Trial], chosen: _Choice, asked: boo
     if asked:
         sentence = f"by {name}, as asked"
     elif exact:
-        sentence = f"by {name}, whose conditions hold: no samples and no variance"
+        sentence = f"by {name}, whose conditions hold: no samples and no variance of its own"
     else:
         others = [t for t in trials if t is not chosen.trial]
         sentence = f"sampled by {name}, the cheapest of {len(trials)} in pilots: " + ", ".join(

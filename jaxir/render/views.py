@@ -14,13 +14,14 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, as_float, enforce
-from jaxir.geometry.camera import Camera, fitted_camera, pixel_strata
+from jaxir.geometry.camera import Camera, pixel_strata
 from jaxir.optics.band import Band, Nodes, as_nodes
-from jaxir.render.chunks import Method, Pass, compiled_radiometry, estimate_chunk, eye_outside, method_of, whole_image
+from jaxir.render.chunks import Method, Pass, estimate_chunk, eye_outside, method_of, whole_image
 from jaxir.render.devices import over_items, shared_by
 from jaxir.scene.scene import Scene
+from jaxir.transport.brightness import graded_cameras
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
-from jaxir.transport.radiometry import Radiometry
+from jaxir.transport.radiometry import Radiometry, compiled_radiometry
 from jaxir.transport.reflection import Reflection
 from jaxir.transport.scattering import Scattering
 
@@ -84,8 +85,9 @@ def signature(
 ) -> Signature:
     """Radiant intensity of a scene over aspects, all of them under one compilation.
 
-    Every view is an image whose pixels just hold the scene's outline, so the accuracy is that of the raster whatever
-    the aspect; more rows and columns buy more than more samples.
+    Every view is an image that just holds the scene's outline, with its rows and columns close together where the
+    scene is bright (`graded_camera`), so the accuracy is that of the raster whatever the aspect; more rows and columns
+    buy more than more samples.
 
     Args:
         scene: the scene.
@@ -141,13 +143,12 @@ def prepare_views(
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     nodes = as_nodes(bands)
     base = jax.random.key(0) if key is None else key
-    extent = lax.stop_gradient(scene.extent())  # a camera follows the outline of a jet but does not belong to it
-    cameras = jax.vmap(lambda a: fitted_camera(a[0], a[1], extent, shape, distance))(aspect)
+    optical = compiled_radiometry(scene, nodes)
+    cameras = graded_cameras(optical, aspect, shape, distance)
     outside = jax.vmap(lambda camera: eye_outside(scene, camera).value)(cameras)
     eye = Check("signature: (radius of the scene) / distance", outside, outside < 1, "less than 1: sensors outside it")
     nodes = enforce(nodes, [*scene.checks(), *cameras.checks(), eye, *method.checks(scene)])
     keys = jax.vmap(jax.random.fold_in, (None, 0))(base, jnp.arange(aspect.shape[0], dtype=jnp.uint32))
-    optical = compiled_radiometry(scene, nodes)
     return Views(optical, cameras, keys, pixel_strata(samples), method, aspect[:, 0], aspect[:, 1])
 
 

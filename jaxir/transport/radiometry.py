@@ -70,6 +70,9 @@ def radiometry(scene: Scene, nodes: Nodes) -> Radiometry:
     )
 
 
+compiled_radiometry = eqx.filter_jit(radiometry)
+
+
 def _at_cells(scene: Scene, medium: GridMedium | JetMedium | None, nodes: Nodes, source: ParallelSource) -> Array:
     """Irradiance of a beam at the centre of every cell, behind skin and plume [nx, ny, nz, node]."""
     assert isinstance(medium, GridMedium) and medium.scattering is not None and isinstance(scene.plume, GridPlume)
