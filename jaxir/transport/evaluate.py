@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Key
 
 from jaxir.geometry.mesh import face_normal
 from jaxir.geometry.ray import Rays
-from jaxir.transport.around import Vertex
+from jaxir.transport.around import Leg, Vertex
 from jaxir.transport.leaving import beyond, leaving, reflected
 from jaxir.transport.medium import GridMedium
 from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
@@ -93,11 +93,9 @@ def _chain(optical: Radiometry, chain: Chain, reflection: Reflection) -> Array:
 
     def step(radiance: Array, link: tuple[Chain, Array]) -> tuple[Array, None]:
         (vertex, leg), last = (link[0].vertex, link[0].leg), link[1]
-        behind = jnp.where(leg.met[:, None], radiance, 0)
-        if reflection.looks_for_plume(optical.scene):  # its emission was found as that of a light
-            arriving = plume_transmittance(optical, vertex.point, leg.omega, leg.length) * behind
-        else:
-            arriving = through_plume(optical, Rays(vertex.point, leg.omega), leg.length, behind)
+        arriving = lax.cond(  # the last leg goes nowhere, so its plume is not integrated
+            last, lambda: jnp.zeros_like(radiance), lambda: _along(optical, vertex, leg, reflection, radiance)
+        )
         left = leaving(optical, vertex, link[0].around, reflection)
         left = left + reflected(optical, vertex, leg.omega, leg.factor) * arriving
         if reflection.beyond is not None:
@@ -109,6 +107,14 @@ def _chain(optical: Radiometry, chain: Chain, reflection: Reflection) -> Array:
     assert optical.skin_source is not None
     nothing = jnp.zeros((chain.leg.factor.shape[1], optical.nodes.count), optical.skin_source.dtype)
     return lax.scan(step, nothing, (chain, last), reverse=True)[0]
+
+
+def _along(optical: Radiometry, vertex: Vertex, leg: Leg, reflection: Reflection, radiance: Array) -> Array:
+    """What legs bring to their first ends of `radiance` that leaves the skin at their others [ray, node]."""
+    behind = jnp.where(leg.met[:, None], radiance, 0)
+    if reflection.looks_for_plume(optical.scene):  # its emission was found as that of a light
+        return plume_transmittance(optical, vertex.point, leg.omega, leg.length) * behind
+    return through_plume(optical, Rays(vertex.point, leg.omega), leg.length, behind)
 
 
 def unoccluded_radiance(optical: Radiometry, toward: Float[Array, " 3"]) -> Float[Array, "face node"]:
