@@ -34,6 +34,7 @@ from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.optics.layer import through_layer
 from jaxir.optics.phase import AbstractPhase
 from jaxir.scene.jet import JetPlume
+from jaxir.transport.active import for_active
 from jaxir.transport.medium import AbstractMedium, plume_optics
 
 KNOTS = 1024  # 1.7 K apart between 300 and 2000 K: linear interpolation errs by 1e-4 where the gas is above 500 K
@@ -175,11 +176,16 @@ def jet_panels(
 State = tuple[Array, Array]
 
 
-@jax.checkpoint  # a gradient integrates again instead of keeping every point of every ray
 def _integrate(medium: JetMedium, rays: Rays, t_max: Array) -> State:
     """Emitted radiance and optical depth [ray, node]."""
+    chord = jax.vmap(_chord, in_axes=(None, 0, 0, 0))(medium.jet, rays.origin, rays.direction, t_max)
+    meets = chord.cuts[:, 0] < chord.cuts[:, -1]
+    return for_active(lambda chord: _along(medium, chord), meets, chord, medium.extinction.shape[1])
+
+
+def _along(medium: JetMedium, chord: _Chord) -> State:
+    """Emitted radiance and optical depth of chords [ray, node]."""
     jet = medium.jet
-    chord = jax.vmap(_chord, in_axes=(None, 0, 0, 0))(jet, rays.origin, rays.direction, t_max)
     shares = as_float((np.arange(jet.panels)[:, None] + _GAUSS[None, :]) / jet.panels)
 
     def piece(state: State, bounds: tuple[Array, Array, Array]) -> tuple[State, None]:
@@ -204,10 +210,10 @@ def _integrate(medium: JetMedium, rays: Rays, t_max: Array) -> State:
 
     # The core lies in front of the second piece from the far end; the other pieces end in a layer of no length.
     cuts = chord.cuts.T
-    none = jnp.zeros_like(t_max)
+    none = jnp.zeros_like(cuts[0])
     core = jnp.stack([none, cuts[3] - cuts[2], none, none])
     begins, ends = (jnp.stack([cuts[i] for i in order]) for order in ((4, 3, 1, 0), (5, 4, 2, 1)))
-    dark = jnp.zeros((rays.count, medium.extinction.shape[1]), medium.extinction.dtype)
+    dark = jnp.zeros((none.shape[0], medium.extinction.shape[1]), medium.extinction.dtype)
     return lax.scan(piece, (dark, dark), (begins, ends, core))[0]
 
 
