@@ -10,7 +10,9 @@ import jaxir
 from jaxir import Reflection, Scattering, SkinLight
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import gray_nodes
+from jaxir.optics.particles import ParticleTable
 from jaxir.transport.evaluate import evaluate
+from jaxir.transport.medium import plume_optics
 from jaxir.transport.paths import trace
 from jaxir.transport.radiometry import radiometry
 from tests.scenes import box_mesh
@@ -96,6 +98,17 @@ def test_particles_that_absorb_nothing_conserve_energy():
     """Under an even sky every direction shows it, whatever is scattered how often: R + T = 1."""
     scene = slab(2.0, 1.0, jaxir.HenyeyGreenstein(0.3), COLD, background=jaxir.UniformBackground(5.0))
     agrees(look(scene, down(0.7, 4000), jax.random.key(5), Scattering(60)), 5.0, 0.01, bias=1e-4)
+
+
+@pytest.mark.parametrize("lost", [1e-2, 1e-6, 1e-9])
+def test_particles_that_absorb_next_to_nothing_emit_that(lost):
+    """Absorption is never the rounded difference of extinction and scattering."""
+    section = np.array([3e-12, 3e-12])
+    table = ParticleTable([500.0, 3000.0], section, section * (1 - lost), 1e-18, [-1.0, 1.0], np.ones((2, 2)))
+    for particles in (jaxir.GrayParticles(0.5, 1 - lost, jaxir.Isotropic()), jaxir.Particles(0.5 / 3e-12, table)):
+        seen = plume_optics(jaxir.GrayGas(0.0), particles, NODES, jnp.asarray(WARM))
+        np.testing.assert_allclose(seen.emission / BLACK, 0.5 * lost, rtol=1e-6)
+        np.testing.assert_allclose(seen.extinction, 0.5, rtol=1e-6)
 
 
 # Beams and lights -----------------------------------------------------------------------------------------------------
