@@ -14,9 +14,10 @@ The tangent is marched along with the whole radiance R,
 and the adjoint near to far, with T the transmittance so far (1 at the eye) and Q the radiance still to come (all of
 it at the eye), which needs neither stored steps nor divisions:
 
-    dL/dj = T l phi1(u),    dL/dmu = l (T l phi2(u) j - Q),    Q <- Q - T l phi1(u) j,    T <- exp(-u) T,
+    dL/dj = T l phi1(u),    Q <- Q - T l phi1(u) j,    dL/dmu = -l (T l thinning(u) j + Q),    T <- exp(-u) T,
 
-and dL/dbehind is T behind the last cell.
+and dL/dbehind is T behind the last cell. Q is a difference, wrong by the rounding of what is in front, which dL/dmu
+brings up by u; behind a cell of u > 64 it is set to the 0 that it is to 2e-28.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import require_shape
 from jaxir.geometry.grid import Grid
 from jaxir.geometry.ray import Rays
-from jaxir.optics.layer import SERIES_BELOW, across_layer, attenuate, phi1, phi2, thinning
+from jaxir.optics.layer import SERIES_BELOW, across_layer, attenuate, phi1, thinning
 from jaxir.transport.segments import (
     Lists,
     adjoint_rays,
@@ -55,6 +56,8 @@ from jaxir.transport.streaming import (
     streaming_primitive,
     zero_like,
 )
+
+OPAQUE = 64.0  # optical depth of a cell through which nothing is seen
 
 
 def _radiance(extinction, emission, behind, *geometry, shape):
@@ -126,15 +129,14 @@ def _radiance_adjoint(extinction, emission, behind, radiance, *rest, shape, wrt)
             mu, j = lax.optimization_barrier((rows(extinction, cell), rows(emission, cell)))
             length = beside(length, mu)
             u = mu * length
-            gain, bend, kept = lax.optimization_barrier((length * phi1(u), length * phi2(u), jnp.exp(-u)))
+            gain, bend, kept = lax.optimization_barrier((length * phi1(u), length * thinning(u), jnp.exp(-u)))
             shares, gains, flat = [], [], cell.reshape((-1,))  # one scatter of flat indices is the fastest
             for k in range(3):
                 gained = passed * gain[k]
                 gains.append(gained)
-                shares.append(length[k] * (passed * bend[k] * j[k] - remaining))
-                thin = u[k] < SERIES_BELOW
-                passed = jnp.where(thin, passed - gained * mu[k], kept[k] * passed)
-                remaining = remaining - gained * j[k]
+                remaining = jnp.where(u[k] > OPAQUE, 0, remaining - gained * j[k])
+                shares.append(-length[k] * (passed * bend[k] * j[k] + remaining))
+                passed = jnp.where(u[k] < SERIES_BELOW, passed - gained * mu[k], kept[k] * passed)
                 passed, remaining = lax.optimization_barrier((passed, remaining))
             if to_extinction is not None:
                 to_extinction = to_extinction.at[flat].add(jnp.concatenate(shares), mode="promise_in_bounds")

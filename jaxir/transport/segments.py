@@ -19,7 +19,7 @@ from jaxtyping import Array
 from jaxir.geometry.grid import Grid
 from jaxir.geometry.walk import Segments, Walk, slab_segments, start_walk
 
-CHUNK = 256  # consecutive rays carried together: enough to fill the vector units, few enough to stay alike
+CHUNK = 128  # consecutive rays carried together: enough to fill the vector units, few enough to stay alike
 FEW = 4  # nodes that are carried for many rays at a time, and rays whose adjoint is carried whatever the nodes
 
 Lists = tuple[Array, ...]
@@ -49,7 +49,7 @@ def chunk_rays(rays: int, nodes: int) -> int:
 
 def adjoint_rays(rays: int, nodes: int) -> int:
     """The same for an adjoint, whose many steps cost more per ray than the rows they are scattered to."""
-    return max(1, min(CHUNK, rays, max(FEW, 4 * CHUNK // max(nodes, 1))))
+    return max(1, min(CHUNK, rays, max(FEW, 1024 // max(nodes, 1))))
 
 
 def _chunked(array: Array, size: int) -> Array:
