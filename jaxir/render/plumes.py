@@ -57,14 +57,14 @@ def plume_intensity(
         raise ValueError(f"rays: got {rays!r}, expected an integer >= 1")
     nodes = enforce(as_nodes(bands), scene.checks())
     optical = radiometry(scene, nodes)
-    through, area = _entering(plume.grid, view_frame(azimuth, elevation)[2], rays)
+    through, area = entering(plume.grid, view_frame(azimuth, elevation)[2], rays)
     far = jnp.full(through.count, jnp.inf, area.dtype)
     seen = through_air(optical, through_plume(optical, through, far, background_radiance(optical, through.direction)))
     contrast = seen - empty_radiance(optical, through.direction)
     return nodes.in_band(jnp.sum(contrast * area[:, None], axis=0))
 
 
-def _entering(grid: Grid, toward: Float[Array, " 3"], count: int) -> tuple[Rays, Float[Array, " ray"]]:
+def entering(grid: Grid, toward: Float[Array, " 3"], count: int) -> tuple[Rays, Float[Array, " ray"]]:
     """Rays against `toward` that start on the faces of the box, and the cross-section that each stands for [m2]."""
     size = grid.spacing * as_float(jnp.asarray(grid.shape))
     cells = [math.prod(grid.shape) // grid.shape[axis] for axis in range(3)]
