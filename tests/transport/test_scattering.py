@@ -234,8 +234,9 @@ def test_nothing_changes_a_furnace():
     def mean(values):
         return look(furnace(*values), rays, jax.random.key(7), Scattering(6), Reflection(bounces=6)) / BLACK
 
-    values = tuple(jnp.asarray(v) for v in (0.7, 0.4, 0.4))
-    jacobian = jax.jit(jax.jacfwd(mean))(values)
+    values = jnp.asarray([0.7, 0.4, 0.4])
+    along = jax.jit(lambda tangent: jax.jvp(mean, (values,), (tangent,))[1])  # one column at a time compiles fastest
+    jacobian = [along(tangent) for tangent in jnp.eye(3)]
     for name, row, least in zip(("emissivity", "albedo", "asymmetry"), jacobian, (0.05, 0.05, 0.02), strict=True):
         row = np.asarray(row, float)
         error = row.std() / np.sqrt(row.size)
