@@ -48,6 +48,7 @@ from jaxir.render import Plan as Plan
 from jaxir.render import Signature as Signature
 from jaxir.render import Term as Term
 from jaxir.render import plan as plan
+from jaxir.render import plume_intensity as plume_intensity
 from jaxir.render import render as render
 from jaxir.render import signature as signature
 from jaxir.render import unoccluded_intensity as unoccluded_intensity

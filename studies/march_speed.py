@@ -5,6 +5,10 @@ Three grids, each seen by an orthographic camera whose rays come in tiles of 16 
 a scalar cell-by-cell walk (Amanatides and Woo, Eurographics 1987) compiled on the spot by numba. All times are CPU
 seconds, interleaved medians of one process on one core; the study runs once as it is and once with the process setting
 XLA_FLAGS=--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536.
+
+Then, in a plume of 150 x 24 x 24 cells, what many spectral nodes cost beside one (the march, the sum over lists that
+were traced before, and the whole evaluation with its Planck functions), and, for the radiant intensity of a jet of
+600 x 48 x 48 cells from six aspects, what parallel rays through its box save beside images of equal error.
 """
 
 import argparse
@@ -16,15 +20,22 @@ import resource
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxir
-from jaxir.geometry.camera import fitted_camera
+from jaxir.geometry.camera import fitted_camera, pixel_strata, view_frame
+from jaxir.render.chunks import Pass, estimate_chunk, method_of, whole_image
+from jaxir.render.plumes import entering
+from jaxir.transport.evaluate import evaluate
 from jaxir.transport.march import march
+from jaxir.transport.paths import store_crossings, trace
+from jaxir.transport.radiometry import radiometry
 
 SETTING = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536"
 GRIDS = {  # cells, size [m], aspect (azimuth, elevation) [deg], optical depth across the smallest side
@@ -162,6 +173,137 @@ def measure(names: list[str]) -> list[dict]:
     return rows
 
 
+NODES = (1, 16, 64, 256)
+
+
+def medians(runs: dict) -> dict[str, float]:
+    """CPU seconds of calls, each by itself: beside large ones the small pay for the memory that those give back."""
+    spent = {}
+    for label, call in runs.items():
+        jax.block_until_ready(call())
+        times = []
+        for _ in range(ROUNDS):
+            began = time.process_time()
+            jax.block_until_ready(call())
+            times.append(time.process_time() - began)
+        spent[label] = float(np.median(times))
+    return spent
+
+
+def measure_nodes() -> list[dict]:
+    """One row per number of nodes: ns per crossing of the sums, ms of the whole evaluation."""
+    shape, size = (150, 24, 24), np.array((30.0, 1.2, 1.2))
+    grid = jaxir.Grid(-size / 2, size / shape, shape)
+    camera = fitted_camera(110.0, 15.0, grid.corners(), (64, 64))
+    tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
+    centre = jnp.full((tile.shape[0], 256, 2), 0.5)
+    rays = camera.bundle(camera.screen(tile, centre).reshape(-1, 2), jnp.asarray(16.0)).rays()
+    temperature = np.random.default_rng(0).uniform(400, 1400, shape)
+    scene = jaxir.Scene(plume=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.3)))
+    paths = store_crossings(scene, trace(scene, rays))
+    paths = eqx.tree_at(lambda p: p.crossings, paths, paths.crossings.trim(int(paths.crossings.longest())))
+    crossed, far = int((paths.crossings.length > 0).sum()), jnp.full(rays.count, jnp.inf)
+    runs = {}
+    for count in NODES:
+        edges = np.linspace(3.0, 5.0, count + 1)
+        nodes = jaxir.gray_nodes([jaxir.Band(f"{k}", edges[k], edges[k + 1]) for k in range(count)])
+        gas = jax.jit(lambda scene, nodes=nodes: radiometry(scene, nodes))(scene).medium
+        dark = jnp.zeros((rays.count, count))
+        listed = jax.jit(lambda gas, dark, paths: gas.listed_leg(paths.crossings, dark))
+        marched = jax.jit(lambda gas, dark: gas.leg(rays, far, dark))
+        whole = jax.jit(lambda scene, paths, nodes=nodes: evaluate(radiometry(scene, nodes), paths))
+        runs[f"list {count}"] = lambda run=listed, gas=gas, dark=dark: run(gas, dark, paths)
+        runs[f"march {count}"] = lambda run=marched, gas=gas, dark=dark: run(gas, dark)
+        runs[f"evaluation {count}"] = lambda run=whole: run(scene, paths)
+    spent, rows = medians(runs), []
+    for count in NODES:
+        row = {"nodes": count}
+        for what in ("list", "march"):
+            row[f"{what}_ns_per_crossing"] = 1e9 * spent[f"{what} {count}"] / crossed
+        row["evaluation_ms"] = 1e3 * spent[f"evaluation {count}"]
+        for what in ("list", "march", "evaluation"):
+            row[f"{what}_over_one_node"] = spent[f"{what} {count}"] / spent[f"{what} 1"]
+        rows.append(row)
+    return rows
+
+
+def jet() -> jaxir.Scene:
+    """A jet that widens and cools."""
+    shape, size = (600, 48, 48), np.array((30.0, 1.2, 1.2))
+    low, spacing = -size / 2, size / shape
+    x, y, z = (low[a] + spacing[a] * (np.arange(shape[a]) + 0.5) for a in range(3))
+    width = 0.12 + 0.012 * (x - low[0])
+    core = np.exp(-(y[:, None] ** 2 + z[None] ** 2)[None] / width[:, None, None] ** 2)
+    core *= np.exp(-(x - low[0]) / 12)[:, None, None]
+    grid = jaxir.Grid(low, spacing, shape)
+    return jaxir.Scene(plume=jaxir.GridPlume(grid, 300 + 900 * core, jaxir.GrayGas((0.8 * core)[..., None])))
+
+
+def measure_views() -> list[dict]:
+    """One row per route and number of rays: error over aspects, ms per aspect."""
+    scene, views = jet(), ((90.0, 10.0), (110.0, 15.0), (135.0, -20.0), (160.0, 5.0), (20.0, 30.0), (60.0, -40.0))
+    optical = jax.jit(lambda scene: radiometry(scene, jaxir.gray_nodes((jaxir.MWIR,))))(scene)
+    gas, grid, rows = optical.medium, scene.plume.grid, []
+
+    @partial(jax.jit, static_argnums=0)
+    def box(count, azimuth, elevation):
+        rays, area = entering(grid, view_frame(azimuth, elevation)[2], count)
+        seen = gas.leg(rays, jnp.full(rays.count, jnp.inf), jnp.zeros((rays.count, 1)))
+        return jnp.sum(seen[:, 0]) * area
+
+    def fitted(side, azimuth, elevation):
+        return image(fitted_camera(azimuth, elevation, grid.corners(), (side, side)))
+
+    def square(side, azimuth, elevation):
+        camera = fitted_camera(azimuth, elevation, grid.corners(), (side, side))
+        return image(eqx.tree_at(lambda c: c.pixel, camera, jnp.full(2, camera.pixel.max())))
+
+    def image(camera):
+        taken = Pass(optical, camera, jax.random.key(0), pixel_strata(2), method_of(scene, None, None, jaxir.CellSum()))
+        parts = [estimate_chunk(taken, chunk) for chunk in taken.chunks()]
+        return whole_image(taken, jax.tree.map(lambda *each: jnp.stack(each), *parts)).radiant_intensity()[0]
+
+    exact = np.array([float(box(1 << 20, *view)) for view in views])
+    images = (64, 128, 256, 512)
+    for route, call, counts in (
+        ("rays through the box", box, (1024, 2048, 4096, 8192, 16384)),
+        ("image of the outline", fitted, images),
+        ("image of square pixels", square, images),
+    ):
+        for count in counts:
+            spent, got = 0.0, []
+            for view in views:
+                got.append(float(call(count, *view)))
+                times = []
+                for _ in range(3):
+                    began = time.process_time()
+                    jax.block_until_ready(call(count, *view))
+                    times.append(time.process_time() - began)
+                spent += float(np.median(times)) / len(views)
+            error = float(np.sqrt(np.mean((np.array(got) / exact - 1) ** 2)))
+            rows.append({"route": route, "rays_or_side": count, "error": error, "ms": 1e3 * spent})
+    return rows
+
+
+def saved(rows: list[dict]) -> tuple[dict, list[float]]:
+    """The cheapest rays within 1.1e-3, and how much longer images of their error take by their own power laws."""
+    routes = list(dict.fromkeys(row["route"] for row in rows))
+    near = [row for row in rows if row["route"] == routes[0] and row["error"] < 1.1e-3]
+    best, longer = min(near, key=lambda row: row["ms"]), []
+    for route in routes[1:]:
+        own = [(math.log(row["error"]), math.log(row["ms"])) for row in rows if row["route"] == route]
+        slope, level = np.polyfit(*np.transpose(own), 1)
+        longer.append(math.exp(level + slope * math.log(best["error"])) / best["ms"])
+    return best, longer
+
+
+def write(path: Path, rows: list[dict]) -> None:
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+
+
 def main(argv: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m studies.march_speed", description=__doc__.split("\n")[0])
     parser.add_argument("--grids", nargs="+", choices=list(GRIDS), default=list(GRIDS))
@@ -185,10 +327,12 @@ def main(argv: list[str]) -> None:
             raise ValueError(done.stderr.strip().splitlines()[-1])
         name = "65536" if setting else "default"
         rows += [{"loop_threshold": name, **row} for row in json.loads(done.stdout.splitlines()[-1])]
-    with open(chosen.out / "march_speed.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    write(chosen.out / "march_speed.csv", rows)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    nodes, views = measure_nodes(), measure_views()
+    write(chosen.out / "march_nodes.csv", nodes)
+    write(chosen.out / "march_views.csv", views)
     print("| loop threshold | grid | native | value | value + gradient | value / native | (value + gradient) / value |")
     print("|---|---|---|---|---|---|---|")
     for row in rows:
@@ -196,10 +340,23 @@ def main(argv: list[str]) -> None:
             f"| {row['loop_threshold']} | {row['cells']} | {row['native_ns']:.1f} | {row['value_ns']:.1f} | "
             f"{row['value_and_gradient_ns']:.1f} | {row['value_over_native']:.2f} | {row['gradient_over_value']:.1f} |"
         )
+    for row in nodes:
+        print(
+            f"{row['nodes']} nodes: list {row['list_ns_per_crossing']:.0f}, march {row['march_ns_per_crossing']:.0f} "
+            f"ns per crossing, evaluation {row['evaluation_ms']:.1f} ms; over one node "
+            f"{row['list_over_one_node']:.1f}, {row['march_over_one_node']:.1f}, {row['evaluation_over_one_node']:.1f}"
+        )
+    for row in views:
+        print(f"{row['route']} {row['rays_or_side']}: error {row['error']:.1e}, {row['ms']:.2f} ms an aspect")
     worst = [max(row[key] for row in rows) for key in ("value_over_native", "gradient_over_value")]
+    best, longer = saved(views)
     print(
         f"ns per cell crossed on one core: the march takes at most {worst[0]:.2f} x a native walk, with the gradient "
-        f"to all cells at most {worst[1]:.1f} x that; see {chosen.out}/"
+        f"to all cells at most {worst[1]:.1f} x that; {nodes[-1]['nodes']} nodes cost "
+        f"{nodes[-1]['list_over_one_node']:.0f} x one (lists), {nodes[-1]['march_over_one_node']:.0f} x (march); "
+        f"a jet's intensity to {best['error']:.1e} takes {best['ms']:.1f} ms by rays through its box, "
+        f"{longer[0]:.0f} x less than the image of its outline, {longer[1]:.0f} x less than one of square pixels; "
+        f"see {chosen.out}/"
     )
 
 

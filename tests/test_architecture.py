@@ -98,7 +98,7 @@ def test_a_scene_compiles_no_more_than_it_holds():
     skin = jaxir.Scene(plate())
     assert not _evaluation(skin) & (LOOPS | RANDOM)
     marched = _evaluation(jaxir.Scene(plate(), gray_box((1.0, 1.0, 1.0), 0.5))) - _evaluation(skin)
-    assert marched == {"march"}
+    assert marched == {"march", "reshape"}
 
 
 def test_nothing_is_sampled_without_lights_of_an_extent_or_bounces():

@@ -80,6 +80,7 @@ def _render(scene, camera=None, **more):
             lambda: jaxir.unoccluded_intensity(jaxir.Scene(_skin(), _plume()), 0.0, 0.0, jaxir.MWIR),
             "scene: got a plume or no skin",
         ),
+        (lambda: jaxir.plume_intensity(jaxir.Scene(_skin()), 0.0, 0.0, jaxir.MWIR), "scene: got skin"),
     ],
 )
 def test_the_error_names_field_got_and_expected(build, message):

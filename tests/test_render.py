@@ -84,6 +84,19 @@ def test_gray_boxes(size, kappa, source, angle, precision):
     # the box's width across the view at 0 deg is its y extent, its depth the x extent
     expected = box_intensity(size[1], size[0], size[2], kappa, black, angle)
     assert_within(image, [expected], 0.02)
+    crossed = jaxir.plume_intensity(jaxir.Scene(plume=plume), angle, 0.0, jaxir.MWIR, rays=1024)
+    np.testing.assert_allclose(crossed, expected, rtol=2e-3)
+
+
+def test_parallel_rays_through_a_plume_in_hazy_air_in_front_of_a_sky():
+    """An opaque box shows its outline times (blackbody - sky), dimmed by the air, from above as from below."""
+    plume, toward = gray_box((3.0, 1.0, 2.0), 1e4), np.cos(np.deg2rad(30.0)) * np.array([0.5, np.sqrt(0.75), 0.0])
+    black = jaxir.band_radiance(plume.temperature[0, 0, 0], gray_nodes((jaxir.MWIR,)))[0]
+    parts = {"background": jaxir.UniformBackground(2.0), "atmosphere": jaxir.FixedPath(0.6, 3.0)}
+    outline = toward @ [2.0, 6.0, 3.0] + 0.5 * 3.0
+    for elevation in (30.0, -30.0):
+        got = jaxir.plume_intensity(jaxir.Scene(plume=plume, **parts), 60.0, elevation, jaxir.MWIR, rays=64)
+        np.testing.assert_allclose(got, 0.6 * outline * (black - 2.0), rtol=2e-5)
 
 
 def test_a_pixel_inside_a_homogeneous_box_has_no_error(precision):

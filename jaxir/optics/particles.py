@@ -11,6 +11,8 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, fraction, non_negative, positive, require_shape
@@ -19,17 +21,27 @@ from jaxir.optics.band import Nodes, bins_inside
 from jaxir.optics.phase import AbstractPhase, TabulatedPhase, cosine_checks
 
 
+def _exact_difference(whole: Any, part: Any) -> Array:
+    """`whole` - `part`, in float64 if both are known: no digit of a small difference of large numbers is lost."""
+    try:
+        return as_float(np.asarray(whole, np.float64) - np.asarray(part, np.float64))
+    except TypeError:  # traced
+        return as_float(whole) - as_float(part)
+
+
 class ParticleOptics(eqx.Module):
     """Particles on spectral nodes.
 
     Attributes:
         extinction: [*cell, node] [m-1].
         albedo: share of the extinction that is scattering [node].
+        absorbed: share that is absorption, 1 - albedo but not its rounding [node].
         phase: phase function.
     """
 
     extinction: Float[Array, "*cell node"]
     albedo: Float[Array, " node"]
+    absorbed: Float[Array, " node"]
     phase: AbstractPhase
 
 
@@ -67,13 +79,16 @@ class GrayParticles(AbstractParticles):
     Attributes:
         extinction: [*cell, node or 1] [m-1].
         albedo: [node or 1].
+        rest: what the numbers given as albedo lost by rounding, so that 1 - albedo - rest is right however small it
+            is [node or 1]; 0 for an array of the floating dtype in force.
         phase: phase function.
 
-    Differentiable in all.
+    Differentiable in all but `rest`.
     """
 
     extinction: Float[Array, "*cell node"]
     albedo: Float[Array, " node"]
+    rest: Float[Array, " node"]
     phase: AbstractPhase
 
     def __init__(self, extinction: Any, albedo: Any, phase: AbstractPhase):
@@ -81,6 +96,7 @@ class GrayParticles(AbstractParticles):
         value, share = as_float(extinction, "GrayParticles.extinction"), as_float(albedo, "GrayParticles.albedo")
         self.extinction = value[None] if value.ndim == 0 else value
         self.albedo = share[None] if share.ndim == 0 else share
+        self.rest = _exact_difference(albedo, self.albedo)
         require_shape("GrayParticles.albedo", self.albedo, ("node",))
         self.phase = phase
 
@@ -90,7 +106,9 @@ class GrayParticles(AbstractParticles):
             if value.shape[-1] not in (1, nodes.count):
                 raise ValueError(f"GrayParticles.{field}: got {value.shape[-1]} nodes, expected {nodes.count} or 1")
         extinction = jnp.broadcast_to(self.extinction, self.extinction.shape[:-1] + (nodes.count,))
-        return ParticleOptics(extinction, jnp.broadcast_to(self.albedo, (nodes.count,)), self.phase)
+        albedo = jnp.broadcast_to(self.albedo, (nodes.count,))
+        absorbed = jnp.broadcast_to((1 - self.albedo) - lax.stop_gradient(self.rest), (nodes.count,))
+        return ParticleOptics(extinction, albedo, absorbed, self.phase)
 
     @property
     def cells(self) -> tuple[int, ...]:
@@ -109,7 +127,7 @@ class GrayParticles(AbstractParticles):
                 "particles that are the same everywhere before they are diluted"
             )
         extinction = amount[..., None] * self.extinction.reshape((1,) * amount.ndim + (-1,))
-        return GrayParticles(extinction, self.albedo, self.phase)
+        return eqx.tree_at(lambda particles: particles.extinction, self, extinction)
 
     def guide(self) -> tuple[Float[Array, "*cell"], AbstractPhase]:
         """See `AbstractParticles.guide`: the mean over the nodes."""
@@ -129,7 +147,8 @@ class ParticleTable(eqx.Module):
 
     Attributes:
         wavenumber: increasing [sample] [cm-1].
-        extinction: cross-section [sample] [m2].
+        absorption: cross-section, the difference of those given, without loss where they are given in float64 [sample]
+            [m2].
         scattering: cross-section [sample] [m2].
         volume: mean volume of a particle [m3].
         cosine: of the scattering angle, increasing from -1 to 1 [angle].
@@ -139,35 +158,36 @@ class ParticleTable(eqx.Module):
     """
 
     wavenumber: Float[Array, " sample"]
-    extinction: Float[Array, " sample"]
+    absorption: Float[Array, " sample"]
     scattering: Float[Array, " sample"]
     volume: Float[Array, ""]
     cosine: Float[Array, " angle"]
     phase: Float[Array, "sample angle"]
 
     def __init__(self, wavenumber: Any, extinction: Any, scattering: Any, volume: Any, cosine: Any, phase: Any):
-        for name, value in (
-            ("wavenumber", wavenumber),
-            ("extinction", extinction),
-            ("scattering", scattering),
-            ("volume", volume),
-            ("cosine", cosine),
-            ("phase", phase),
-        ):
-            setattr(self, name, as_float(value, f"ParticleTable.{name}"))
-        require_shape("ParticleTable.wavenumber", self.wavenumber, ("sample",))
-        if self.wavenumber.shape[0] < 2:
+        fields = {"wavenumber": wavenumber, "extinction": extinction, "scattering": scattering}
+        fields |= {"volume": volume, "cosine": cosine, "phase": phase}
+        fields = {name: as_float(value, f"ParticleTable.{name}") for name, value in fields.items()}
+        samples, angles = fields["wavenumber"].shape, fields["cosine"].shape
+        shapes = {"wavenumber": ("sample",), "extinction": samples, "scattering": samples}
+        shapes |= {"volume": (), "cosine": ("angle",), "phase": samples + angles}
+        for name, shape in shapes.items():
+            require_shape(f"ParticleTable.{name}", fields[name], shape)
+        if samples[0] < 2:
             raise ValueError("ParticleTable.wavenumber: got one sample, expected at least two")
-        for name in ("extinction", "scattering"):
-            require_shape(f"ParticleTable.{name}", getattr(self, name), self.wavenumber.shape)
-        require_shape("ParticleTable.volume", self.volume, ())
-        require_shape("ParticleTable.cosine", self.cosine, ("angle",))
-        require_shape("ParticleTable.phase", self.phase, self.wavenumber.shape + self.cosine.shape)
+        self.wavenumber, self.volume, self.cosine = fields["wavenumber"], fields["volume"], fields["cosine"]
+        self.absorption, self.scattering = _exact_difference(extinction, scattering), fields["scattering"]
+        self.phase = fields["phase"]
+
+    @property
+    def extinction(self) -> Float[Array, " sample"]:
+        """Cross-section [sample] [m2]."""
+        return self.absorption + self.scattering
 
     def checks(self) -> list[Check]:
         """Wavenumbers and cosines increase, 0 <= scattering <= extinction, the phase function is >= 0."""
         rising = jnp.concatenate([jnp.ones(1, bool), jnp.diff(self.wavenumber) > 0])
-        within = self.scattering <= self.extinction * (1 + 1e-5)
+        within = self.absorption >= -1e-5 * self.scattering
         return [
             positive("ParticleTable.wavenumber", self.wavenumber),
             Check("ParticleTable.wavenumber", self.wavenumber, rising, "increasing wavenumbers"),
@@ -212,10 +232,12 @@ class Particles(AbstractParticles):
         weight = sample_weights(nodes.lower, nodes.upper, table.wavenumber)
         # Cross-sections of 1e-10 m2 and the phase peak stay far from the limits of float32 in units of their mean.
         unit = jnp.mean(table.extinction)
-        extinction, scattering = weight @ (table.extinction / unit), weight @ (table.scattering / unit)
+        absorption, scattering = weight @ (table.absorption / unit), weight @ (table.scattering / unit)
+        extinction = absorption + scattering
         phase = weight @ (table.scattering[:, None] / unit * table.phase)
         spread = (self.number_density * unit)[..., None] * extinction.reshape((1,) * self.number_density.ndim + (-1,))
-        return ParticleOptics(spread, scattering / extinction, TabulatedPhase(table.cosine, phase))
+        lobe = TabulatedPhase(table.cosine, phase)
+        return ParticleOptics(spread, scattering / extinction, absorption / extinction, lobe)
 
     @property
     def cells(self) -> tuple[int, ...]:

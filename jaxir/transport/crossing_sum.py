@@ -1,4 +1,7 @@
-"""The exact radiance of a gridded medium along rays that were traced before."""
+"""The exact radiance of a gridded medium along rays that were traced before.
+
+Value and first derivatives stream through the lists as `march` streams through the grid, with the same recurrences.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxir.geometry.walk import Crossings
 from jaxir.optics.layer import through_layer
+from jaxir.transport.march import radiance_primitive
 
 
 def crossing_sum(
@@ -19,7 +23,7 @@ def crossing_sum(
     """Radiance at the origins of traced rays: the same sum as `march`, over stored lists of cells.
 
     Trace once, evaluate often: a fit that changes the state of the medium, or many spectral nodes, walk the grid
-    only once. Every operation is an ordinary one, so any derivative exists; memory grows with the crossings.
+    only once. Beyond the first derivatives memory grows with crossings times nodes.
 
     Args:
         crossings: the cells of each ray, near to far.
@@ -32,7 +36,14 @@ def crossing_sum(
 
     Differentiable in extinction, emission, behind, crossings.length, forward and reverse, to any order.
     """
-    cell, length = crossings.cell.T, crossings.length.T
+    if 0 in behind.shape or crossings.bound == 0:
+        return behind
+    return listed_p.bind(extinction, emission, behind, crossings.cell, crossings.length, shape=None)[0]
+
+
+def _plain_sum(extinction: Array, emission: Array, behind: Array, cell: Array, length: Array) -> Array:
+    """The same in ordinary operations: any derivative exists, and memory grows with the crossings."""
+    cell, length = cell.T, length.T
     mu, j = extinction.at[cell].get(mode="clip"), emission.at[cell].get(mode="clip")
     length = jnp.broadcast_to(length[:, :, None], mu.shape)
     # Radiance from behind is added at the end: next to it the emission of thin cells would be rounded away.
@@ -43,3 +54,6 @@ def crossing_sum(
         reverse=True,
     )[0]
     return emitted + jnp.exp(-jnp.sum(mu * length, axis=0)) * behind
+
+
+listed_p = radiance_primitive("crossing_sum", 2, _plain_sum)

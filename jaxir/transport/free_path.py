@@ -20,7 +20,7 @@ from jaxir.geometry.ray import Rays
 from jaxir.scene.jet import JetPlume
 from jaxir.scene.plume import GridPlume
 from jaxir.transport.jet import jet_panels
-from jaxir.transport.march import chunk_rays, fold, over_chunks
+from jaxir.transport.segments import chunk_rays, fold, over_chunks
 
 
 class FreePath(NamedTuple):

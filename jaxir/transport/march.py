@@ -14,9 +14,10 @@ The tangent is marched along with the whole radiance R,
 and the adjoint near to far, with T the transmittance so far (1 at the eye) and Q the radiance still to come (all of
 it at the eye), which needs neither stored steps nor divisions:
 
-    dL/dj = T l phi1(u),    dL/dmu = l (T l phi2(u) j - Q),    Q <- Q - T l phi1(u) j,    T <- exp(-u) T,
+    dL/dj = T l phi1(u),    Q <- Q - T l phi1(u) j,    dL/dmu = -l (T l thinning(u) j + Q),    T <- exp(-u) T,
 
-and dL/dbehind is T behind the last cell.
+and dL/dbehind is T behind the last cell. Q is a difference, wrong by the rounding of what is in front, which dL/dmu
+brings up by u; behind a cell of u > 64 it is set to the 0 that it is to 2e-28.
 """
 
 from __future__ import annotations
@@ -27,108 +28,56 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.extend.core import Primitive
 from jaxtyping import Array, Float
 
 from jaxir._arrays import require_shape
 from jaxir.geometry.grid import Grid
 from jaxir.geometry.ray import Rays
-from jaxir.geometry.walk import Segments, Walk, slab_segments, start_walk
-from jaxir.optics.layer import SERIES_BELOW, across_layer, attenuate, phi1, phi2, thinning
-from jaxir.transport.streaming import is_active, register_jvp, register_linear, streaming_primitive, zero_like
+from jaxir.optics.layer import SERIES_BELOW, across_layer, attenuate, phi1, thinning
+from jaxir.transport.segments import (
+    Lists,
+    adjoint_rays,
+    alone,
+    beside,
+    chunk_rays,
+    fold,
+    fold_threes,
+    geometry_parts,
+    over_chunks,
+    rows,
+)
+from jaxir.transport.streaming import (
+    along_active,
+    is_active,
+    partly,
+    register_jvp,
+    register_linear,
+    streaming_primitive,
+    zero_like,
+)
 
-CHUNK = 256  # consecutive rays marched together: enough to fill the vector units, few enough to stay alike
-CHUNK_FLOATS = 16384  # rays x nodes marched together, so that the state of a chunk stays in the first-level cache
-
-Lists = tuple[Array, ...]
-
-
-def chunk_rays(rays: int, nodes: int) -> int:
-    """How many rays are marched together."""
-    return max(1, min(CHUNK, rays, CHUNK_FLOATS // max(nodes, 1)))
-
-
-def _chunked(array: Array, size: int) -> Array:
-    """[ray, ...] to [chunk, size, ...], filled up with zeros: a ray of direction 0 misses everything."""
-    count = -(-array.shape[0] // size)
-    padding = [(0, count * size - array.shape[0])] + [(0, 0)] * (array.ndim - 1)
-    return jnp.pad(array, padding).reshape((count, size) + array.shape[1:])
-
-
-def over_chunks(function: Callable, state: Any, size: int, geometry: Lists, per_ray: Lists, shape) -> tuple[Any, Any]:
-    """Call `function(state, walk, *per_ray) -> (state, [ray, ...])` chunk after chunk of `size` rays."""
-    origin, spacing, ray_origin, ray_direction, t_max = geometry
-    grid = Grid(origin, spacing, shape)
-    count = t_max.shape[0]
-
-    def step(state, chunk):
-        walk = jax.vmap(start_walk, in_axes=(None, 0, 0, 0))(grid, *chunk[:3])
-        return function(state, walk, *chunk[3:])
-
-    chunks = tuple(_chunked(array, size) for array in (ray_origin, ray_direction, t_max, *per_ray))
-    state, out = lax.scan(step, state, chunks)
-    return state, jax.tree.map(lambda x: x.reshape((-1,) + x.shape[2:])[:count], out)
-
-
-def fold(walk: Walk, update: Callable, state: Any, near_to_far: bool) -> Any:
-    """Carry `state` through the segments of a chunk of rays: `update(state, cell [ray], length [ray])`."""
-    slabs = jnp.max(walk.last - walk.first)
-
-    def body(i, state):
-        slab = walk.first + i if near_to_far else walk.last - 1 - i
-        on = (slab < walk.last) & (slab >= walk.first)
-        segments: Segments = jax.vmap(slab_segments)(walk, slab, on)
-        for cell, length in segments if near_to_far else segments[::-1]:
-            state = update(state, cell, length)
-        return state
-
-    return lax.fori_loop(0, slabs, body, state)
-
-
-def _fold_slabs(walk: Walk, update: Callable, state: Any) -> Any:
-    """As `fold`, near to far, a whole slab at a time: `update(state, cell [3, ray], length [3, ray])`."""
-
-    def body(i, state):
-        slab = walk.first + i
-        segments: Segments = jax.vmap(slab_segments)(walk, slab, slab < walk.last)
-        cell, length = (jnp.stack(parts) for parts in zip(*segments, strict=True))
-        return update(state, cell, length)
-
-    return lax.fori_loop(0, jnp.max(walk.last - walk.first), body, state)
-
-
-def _beside(length: Array, like: Array) -> Array:
-    """Lengths [..., ray] spread over the nodes of `like`, if it has any."""
-    return jnp.broadcast_to(length.reshape(length.shape + (1,) * (like.ndim - length.ndim)), like.shape)
-
-
-def _at(field: Array, cell: Array) -> Array:
-    """Rows [ray, node] of `field` [cell, node]; the walk never leaves the grid."""
-    return field.at[cell].get(mode="promise_in_bounds")
-
-
-def _alone(*arrays: Array) -> tuple[Array, ...]:
-    """Drop a node axis of length 1: XLA makes faster loops of [ray] than of [ray, 1]."""
-    return tuple(array[..., 0] if array.shape[-1] == 1 else array for array in arrays)
+OPAQUE = 64.0  # optical depth of a cell through which nothing is seen
 
 
 def _radiance(extinction, emission, behind, *geometry, shape):
     """Value: [ray, node]."""
     nodes = behind.shape[1:]
-    extinction, emission, behind = _alone(extinction, emission, behind)
+    extinction, emission, behind = alone(extinction, emission, behind)
 
-    def chunk(_, walk, behind):
+    def chunk(_, route, behind):
         def emit(emitted, cell, length):
-            mu, j = _at(extinction, cell), _at(emission, cell)
-            return across_layer(emitted, mu, j, _beside(length, mu))
+            mu, j = rows(extinction, cell), rows(emission, cell)
+            return across_layer(emitted, mu, j, beside(length, mu))
 
         def deepen(depth, cell, length):
-            mu = _at(extinction, cell)
-            return depth + _beside(length, mu) * mu
+            mu = rows(extinction, cell)
+            return depth + beside(length, mu) * mu
 
         dark = jnp.zeros_like(behind)
-        emitted = fold(walk, emit, dark, near_to_far=False)
+        emitted = fold(route, emit, dark, near_to_far=False)
         # The summed depth is needed, and costs its own walk, only where there is something behind.
-        depth = lax.cond(jnp.any(behind != 0), lambda: fold(walk, deepen, dark, near_to_far=False), lambda: dark)
+        depth = lax.cond(jnp.any(behind != 0), lambda: fold(route, deepen, dark, near_to_far=False), lambda: dark)
         return (), emitted + jnp.exp(-depth) * behind
 
     size = chunk_rays(behind.shape[0], *nodes)
@@ -138,26 +87,27 @@ def _radiance(extinction, emission, behind, *geometry, shape):
 
 def _radiance_tangent(extinction, emission, behind, _, *rest, shape, wrt):
     """Tangent along those of (extinction, emission, behind) that `wrt` marks."""
-    geometry, tangents = rest[:5], list(rest[5:])
+    parts = geometry_parts(shape)
+    geometry, tangents = rest[:parts], list(rest[parts:])
     d_extinction = tangents.pop(0) if wrt[0] else None
     d_emission = tangents.pop(0) if wrt[1] else None
     d_behind = tangents.pop(0) if wrt[2] else jnp.zeros_like(behind)
 
-    def chunk(_, walk, behind, d_behind):
+    def chunk(_, route, behind, d_behind):
         def update(state, cell, length):
             radiance, d_radiance = state
-            mu, j = _at(extinction, cell), _at(emission, cell)
-            length = _beside(length, mu)
+            mu, j = rows(extinction, cell), rows(emission, cell)
+            length = beside(length, mu)
             u = mu * length
             gain, passed = length * phi1(u), attenuate(radiance, u)
             radiance, d_radiance = across_layer(radiance, mu, j, length), attenuate(d_radiance, u)
             if d_emission is not None:
-                d_radiance = d_radiance + gain * _at(d_emission, cell)
+                d_radiance = d_radiance + gain * rows(d_emission, cell)
             if d_extinction is not None:
-                d_radiance = d_radiance - length * (passed + length * thinning(u) * j) * _at(d_extinction, cell)
+                d_radiance = d_radiance - length * (passed + length * thinning(u) * j) * rows(d_extinction, cell)
             return radiance, d_radiance
 
-        return (), fold(walk, update, (behind, d_behind), near_to_far=False)[1]
+        return (), fold(route, update, (behind, d_behind), near_to_far=False)[1]
 
     size = chunk_rays(*behind.shape)
     return [over_chunks(chunk, (), size, geometry, (behind, d_behind), shape)[1]]
@@ -165,28 +115,28 @@ def _radiance_tangent(extinction, emission, behind, _, *rest, shape, wrt):
 
 def _radiance_adjoint(extinction, emission, behind, radiance, *rest, shape, wrt):
     """Cotangents of those of (extinction, emission, behind) that `wrt` marks."""
-    geometry, shapes = rest[:5], (extinction.shape, emission.shape, behind.shape)
-    size = chunk_rays(*behind.shape)
-    extinction, emission, radiance, cotangent = _alone(extinction, emission, radiance, rest[5])
+    parts = geometry_parts(shape)
+    geometry, shapes = rest[:parts], (extinction.shape, emission.shape, behind.shape)
+    size = adjoint_rays(*behind.shape)
+    extinction, emission, radiance, cotangent = alone(extinction, emission, radiance, rest[parts])
     sums = (jnp.zeros_like(extinction) if wrt[0] else None, jnp.zeros_like(emission) if wrt[1] else None)
 
-    def chunk(sums, walk, radiance, cotangent):
+    def chunk(sums, route, radiance, cotangent):
         def update(state, cell, length):
             passed, remaining, (to_extinction, to_emission) = state  # passed and remaining are times the cotangent
             # Every barrier keeps XLA from computing what is before it once for each of its uses.
             cell, length = lax.optimization_barrier((cell, length))
-            mu, j = lax.optimization_barrier((_at(extinction, cell), _at(emission, cell)))
-            length = _beside(length, mu)
+            mu, j = lax.optimization_barrier((rows(extinction, cell), rows(emission, cell)))
+            length = beside(length, mu)
             u = mu * length
-            gain, bend, kept = lax.optimization_barrier((length * phi1(u), length * phi2(u), jnp.exp(-u)))
+            gain, bend, kept = lax.optimization_barrier((length * phi1(u), length * thinning(u), jnp.exp(-u)))
             shares, gains, flat = [], [], cell.reshape((-1,))  # one scatter of flat indices is the fastest
             for k in range(3):
                 gained = passed * gain[k]
                 gains.append(gained)
-                shares.append(length[k] * (passed * bend[k] * j[k] - remaining))
-                thin = u[k] < SERIES_BELOW
-                passed = jnp.where(thin, passed - gained * mu[k], kept[k] * passed)
-                remaining = remaining - gained * j[k]
+                remaining = jnp.where(u[k] > OPAQUE, 0, remaining - gained * j[k])
+                shares.append(-length[k] * (passed * bend[k] * j[k] + remaining))
+                passed = jnp.where(u[k] < SERIES_BELOW, passed - gained * mu[k], kept[k] * passed)
                 passed, remaining = lax.optimization_barrier((passed, remaining))
             if to_extinction is not None:
                 to_extinction = to_extinction.at[flat].add(jnp.concatenate(shares), mode="promise_in_bounds")
@@ -194,7 +144,7 @@ def _radiance_adjoint(extinction, emission, behind, radiance, *rest, shape, wrt)
                 to_emission = to_emission.at[flat].add(jnp.concatenate(gains), mode="promise_in_bounds")
             return passed, remaining, (to_extinction, to_emission)
 
-        passed, _, sums = _fold_slabs(walk, update, (cotangent, cotangent * radiance, sums))
+        passed, _, sums = fold_threes(route, update, (cotangent, cotangent * radiance, sums))
         return sums, passed
 
     sums, passed = over_chunks(chunk, sums, size, geometry, (radiance, cotangent), shape)
@@ -205,12 +155,12 @@ def _depth(*operands, shape):
     """Optical depth: [ray, node]; linear in the last operand, the extinction."""
     geometry, extinction = operands[:5], operands[5]
 
-    def chunk(_, walk):
+    def chunk(_, route):
         def update(depth, cell, length):
-            return depth + length[:, None] * _at(extinction, cell)
+            return depth + length[:, None] * rows(extinction, cell)
 
-        start = jnp.zeros((walk.step.shape[0], extinction.shape[1]), extinction.dtype)
-        return (), fold(walk, update, start, near_to_far=True)
+        start = jnp.zeros((route.step.shape[0], extinction.shape[1]), extinction.dtype)
+        return (), fold(route, update, start, near_to_far=True)
 
     size = chunk_rays(geometry[4].shape[0], extinction.shape[1])
     return [over_chunks(chunk, (), size, geometry, (), shape)[1]]
@@ -220,15 +170,15 @@ def _depth_adjoint(*operands, shape):
     """Cotangent of the extinction."""
     geometry, cotangent = operands[:5], operands[5]
 
-    def chunk(total, walk, cotangent):
+    def chunk(total, route, cotangent):
         def update(total, cell, length):
             return total.at[cell].add(length[:, None] * cotangent, mode="promise_in_bounds")
 
-        return fold(walk, update, total, near_to_far=True), ()
+        return fold(route, update, total, near_to_far=True), ()
 
     cells = shape[0] * shape[1] * shape[2]
     start = jnp.zeros((cells, cotangent.shape[1]), cotangent.dtype)
-    return [over_chunks(chunk, start, chunk_rays(*cotangent.shape), geometry, (cotangent,), shape)[0]]
+    return [over_chunks(chunk, start, adjoint_rays(*cotangent.shape), geometry, (cotangent,), shape)[0]]
 
 
 def _like_ray(operands: tuple, node_axis_of: Any) -> Any:
@@ -236,13 +186,6 @@ def _like_ray(operands: tuple, node_axis_of: Any) -> Any:
     return node_axis_of.update(shape=(operands[4].shape[0], node_axis_of.shape[1]))
 
 
-radiance_p = streaming_primitive("march", _radiance, lambda *avals, shape: [avals[2]])
-radiance_tangent_p = streaming_primitive("march_tangent", _radiance_tangent, lambda *avals, shape, wrt: [avals[2]])
-radiance_adjoint_p = streaming_primitive(
-    "march_adjoint",
-    _radiance_adjoint,
-    lambda *avals, shape, wrt: [aval for aval, wanted in zip(avals[:3], wrt, strict=True) if wanted],
-)
 depth_p = streaming_primitive("optical_depth", _depth, lambda *avals, shape: [_like_ray(avals, avals[5])])
 depth_adjoint_p = streaming_primitive(
     "optical_depth_adjoint",
@@ -251,22 +194,60 @@ depth_adjoint_p = streaming_primitive(
 )
 
 
-def _radiance_jvp(primals, tangents, *, shape):
-    """Geometry is traced and has no derivative: the tangents of the operands after the third are not looked at."""
-    results = radiance_p.bind(*primals, shape=shape)
-    wrt = tuple(is_active(tangent) for tangent in tangents[:3])
-    if not any(wrt):
-        return results, [zero_like(jax.typeof(result)) for result in results]
-    active = [tangent for tangent, wanted in zip(tangents[:3], wrt, strict=True) if wanted]
-    d_results = radiance_tangent_p.bind(*primals[:3], results[0], *primals[3:], *active, shape=shape, wrt=wrt)
-    return results, d_results
-
-
-register_jvp(radiance_p, _radiance_jvp)
-register_linear(radiance_tangent_p, radiance_adjoint_p, constants=9)
-register_linear(radiance_adjoint_p, radiance_tangent_p, constants=9)
 register_linear(depth_p, depth_adjoint_p, constants=5)
 register_linear(depth_adjoint_p, depth_p, constants=5)
+
+
+def radiance_primitive(name: str, parts: int, plain: Callable[..., Array] | None = None) -> Primitive:
+    """The radiance [ray, node] as a primitive of (extinction, emission, behind, *geometry), with its derivatives.
+
+    Args:
+        name: shown in jaxprs.
+        parts: how many arrays the geometry is, see `segments`.
+        plain: the same in ordinary operations, for second derivatives and those along the geometry; without it second
+            derivatives are refused and the geometry has none.
+
+    Returns:
+        The primitive; its static parameter `shape` is that of the grid, None for lists.
+    """
+
+    def wanted(avals: tuple, wrt: tuple[bool, ...]) -> list:
+        return [aval for aval, wants in zip(avals[:3], wrt, strict=True) if wants]
+
+    radiance = streaming_primitive(name, _radiance, lambda *avals, shape: [avals[2]])
+    tangent = streaming_primitive(f"{name}_tangent", _radiance_tangent, lambda *avals, shape, wrt: [avals[2]])
+    adjoint = streaming_primitive(f"{name}_adjoint", _radiance_adjoint, lambda *a, shape, wrt: wanted(a, wrt))
+
+    def jvp(primals, tangents, *, shape):
+        if plain is not None and any(is_active(x) for x in tangents[3:]):
+            return along_active(lambda *operands: [plain(*operands)], primals, tangents)
+        results = radiance.bind(*primals, shape=shape)
+        wrt = tuple(is_active(x) for x in tangents[:3])
+        if not any(wrt):
+            return results, [zero_like(jax.typeof(result)) for result in results]
+        marched = tangent.bind(*primals[:3], *results, *primals[3:], *wanted(tangents, wrt), shape=shape, wrt=wrt)
+        return results, marched
+
+    def of_wanted(operands, wrt):
+        fixed = (*operands[:3], *operands[4 : 4 + parts])
+        places = [place for place, wants in enumerate(wrt) if wants]
+        return partly(plain, fixed, places), [fixed[place] for place in places]
+
+    def plain_tangent(*operands, shape, wrt):
+        function, values = of_wanted(operands, wrt)
+        return [jax.jvp(function, values, list(operands[4 + parts :]))[1]]
+
+    def plain_adjoint(*operands, shape, wrt):
+        function, values = of_wanted(operands, wrt)
+        return list(jax.vjp(function, *values)[1](operands[4 + parts]))
+
+    register_jvp(radiance, jvp)
+    register_linear(tangent, adjoint, 4 + parts, None if plain is None else plain_tangent)
+    register_linear(adjoint, tangent, 4 + parts, None if plain is None else plain_adjoint)
+    return radiance
+
+
+radiance_p = radiance_primitive("march", 5)
 
 
 def _geometry(grid: Grid, rays: Rays, t_max: Array) -> Lists:

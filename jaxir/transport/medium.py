@@ -1,7 +1,7 @@
 """What a plume does to a ray: the one interface between paths and every way a plume can be given.
 
 With particles, extinction = absorption of the gas + extinction of the particles, scattering = albedo * extinction of
-the particles, and gas and particles emit at one temperature: emission = (extinction - scattering) * blackbody radiance.
+the particles, and gas and particles emit at one temperature: emission = absorption of both * blackbody radiance.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def plume_optics(
         return PlumeOptics(absorption, absorption * source, None, None)
     optics = particles.optics(nodes)
     extinction = jnp.broadcast_to(optics.extinction, absorption.shape)
-    albedo = optics.albedo.reshape((1,) * temperature.ndim + (-1,))
-    emission = (absorption + (1 - albedo) * extinction) * source
+    albedo, absorbed = (share.reshape((1,) * temperature.ndim + (-1,)) for share in (optics.albedo, optics.absorbed))
+    emission = (absorption + absorbed * extinction) * source
     return PlumeOptics(absorption + extinction, emission, albedo * extinction, optics.phase)
 
 

@@ -9,6 +9,7 @@ one by rule, and no step is stored in either direction.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -76,14 +77,38 @@ def register_jvp(primitive: Primitive, rule: Callable[..., tuple[list, list]]) -
     ad.primitive_jvps[primitive] = rule
 
 
-def register_linear(primitive: Primitive, transposed: Primitive, constants: int) -> None:
+def partly(function: Callable, operands: Sequence[Any], places: Sequence[int]) -> Callable:
+    """`function` of its operands at `places` alone, the others held."""
+
+    def of_these(*values: Any) -> Any:
+        arguments = list(operands)
+        for place, value in zip(places, values, strict=True):
+            arguments[place] = value
+        return function(*arguments)
+
+    return of_these
+
+
+def along_active(function: Callable[..., list], primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[list, list]:
+    """`jax.jvp` of ordinary operations along those tangents that are not symbolic zeros."""
+    places = [place for place, tangent in enumerate(tangents) if is_active(tangent)]
+    of_active = partly(function, primals, places)
+    return jax.jvp(of_active, [primals[place] for place in places], [tangents[place] for place in places])
+
+
+def register_linear(
+    primitive: Primitive, transposed: Primitive, constants: int, plain: Callable[..., list] | None = None
+) -> None:
     """Declare that `primitive` is linear in all operands after the first `constants`, with `transposed` as transpose.
 
     Both take the same constants; `transposed` maps cotangents of the results to cotangents of the linear operands.
+    `plain`, the same in ordinary operations, is differentiated along constants; without it that is refused.
     """
 
     def jvp(primals: Sequence[Any], tangents: Sequence[Any], **params: Any) -> tuple[list, list]:
         if any(is_active(tangent) for tangent in tangents[:constants]):
+            if plain is not None:
+                return along_active(partial(plain, **params), primals, tangents)
             raise NotImplementedError(
                 f"{primitive.name}: second derivatives do not exist for the streaming march; "
                 "use crossing_sum, which is differentiable to any order"
