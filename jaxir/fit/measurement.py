@@ -16,6 +16,7 @@ from jaxir.geometry.camera import Camera, fitted_camera
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.scene.scene import Scene
 from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
 
 
 class Measurement(eqx.Module):
@@ -27,6 +28,7 @@ class Measurement(eqx.Module):
         cameras: the views, stacked leaf by leaf [view, ...].
         nodes: spectral axis of the prediction.
         reflection: how the prediction finds reflected light, as in `render`.
+        scattering: how it follows light that particles scatter, as in `render`.
         samples: rays per pixel; even.
         per_pixel: whether each row is a pixel's radiance (one view) or a view's radiant intensity.
     """
@@ -36,6 +38,7 @@ class Measurement(eqx.Module):
     cameras: Camera
     nodes: Nodes
     reflection: Reflection | None
+    scattering: Scattering | None
     samples: int = eqx.field(static=True)
     per_pixel: bool = eqx.field(static=True)
 
@@ -58,6 +61,7 @@ def measured_intensity(
     shape: tuple[int, int] = (64, 64),
     samples: int = 2,
     reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
 ) -> Measurement:
     """Measured contrast intensities over aspects, as `signature` predicts them.
 
@@ -71,6 +75,7 @@ def measured_intensity(
         shape: rows and columns of the images that predict.
         samples: rays per pixel; even.
         reflection: as `render`.
+        scattering: as `render`; `Scattering(0)` leaves out what particles scatter, and with it its noise.
 
     Returns:
         The measurement.
@@ -85,7 +90,7 @@ def measured_intensity(
     extent = scene.extent()
     cameras = jax.vmap(lambda a: fitted_camera(a[0], a[1], extent, shape, distance))(aspect)
     wanted = (aspect.shape[0], len(nodes.names))
-    return _measurement(value, standard_deviation, wanted, cameras, nodes, reflection, samples, False)
+    return _measurement(value, standard_deviation, wanted, cameras, nodes, (reflection, scattering), samples, False)
 
 
 def measured_image(
@@ -96,6 +101,7 @@ def measured_image(
     *,
     samples: int = 2,
     reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
 ) -> Measurement:
     """A measured radiance image; an image of one pixel is a measured band radiance.
 
@@ -106,6 +112,7 @@ def measured_image(
         standard_deviation: of each value, or one for all.
         samples: rays per pixel; even.
         reflection: as `render`.
+        scattering: as `render`; `Scattering(0)` leaves out what particles scatter, and with it its noise.
 
     Returns:
         The measurement.
@@ -116,7 +123,7 @@ def measured_image(
     nodes = as_nodes(bands)
     wanted = (*camera.shape, len(nodes.names))
     one = jax.tree.map(lambda leaf: leaf[None], camera)
-    return _measurement(value, standard_deviation, wanted, one, nodes, reflection, samples, True)
+    return _measurement(value, standard_deviation, wanted, one, nodes, (reflection, scattering), samples, True)
 
 
 def _measurement(
@@ -125,7 +132,7 @@ def _measurement(
     shape: tuple[int, ...],
     cameras: Camera,
     nodes: Nodes,
-    reflection: Reflection | None,
+    light: tuple[Reflection | None, Scattering | None],
     samples: int,
     per_pixel: bool,
 ) -> Measurement:
@@ -136,5 +143,5 @@ def _measurement(
         raise ValueError(f"measurement.standard_deviation: got shape {spread.shape}, expected one value or {shape}")
     flat = (-1, shape[-1])
     spread = jnp.broadcast_to(spread, shape).reshape(flat)
-    made = Measurement(numbers.reshape(flat), spread, cameras, nodes, reflection, samples, per_pixel)
+    made = Measurement(numbers.reshape(flat), spread, cameras, nodes, *light, samples, per_pixel)
     return enforce(made, made.checks())

@@ -321,7 +321,7 @@ def _ray_sum(scene: Scene, measurement: Measurement, rays: _ViewRays | None, key
         return None
     index, gap, group = _layout(np.asarray(rays.group), measurement.nodes)
     laid = _gather(rays, index.reshape(index.shape[0], -1))
-    paths = _trace_chunks(scene, laid.rays, measurement.reflection, jax.random.split(key, index.shape[0]))
+    paths = _trace_chunks(scene, laid.rays, measurement, jax.random.split(key, index.shape[0]))
     if paths.crossings is not None:
         longest = max(1, int(jax.vmap(lambda c: c.longest())(paths.crossings).max()))
         trimmed = jax.vmap(lambda c: c.trim(longest))(paths.crossings)
@@ -331,9 +331,10 @@ def _ray_sum(scene: Scene, measurement: Measurement, rays: _ViewRays | None, key
 
 
 @eqx.filter_jit
-def _trace_chunks(scene: Scene, rays: Rays, reflection: Reflection | None, keys: Array) -> Paths:
+def _trace_chunks(scene: Scene, rays: Rays, measurement: Measurement, keys: Array) -> Paths:
     def chunk(each: tuple[Rays, Array]) -> Paths:
-        return store_crossings(scene, trace(scene, each[0], reflection, each[1]))
+        traced = trace(scene, each[0], measurement.reflection, each[1], measurement.scattering)
+        return store_crossings(scene, traced)
 
     return lax.map(chunk, (rays, keys))
 
