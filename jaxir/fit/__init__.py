@@ -1,5 +1,6 @@
 """Parameters of a scene from measured intensities and images, with their uncertainty, over optimistix."""
 
+from jaxir.fit.descent import LevenbergMarquardt as LevenbergMarquardt
 from jaxir.fit.measurement import Measurement as Measurement
 from jaxir.fit.measurement import measured_image as measured_image
 from jaxir.fit.measurement import measured_intensity as measured_intensity

@@ -33,7 +33,7 @@ from jaxir.transport.reflection import Reflection, reflection_of
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 SLICE = 64  # rays in a slice, at most
-THIN = 60  # rays of each half of a row that lead a jet near the solution; with rounding one slice
+THIN = 120  # rays of each half of a row that lead a jet to the solution; with rounding two slices
 ROUND = 8  # slices of a chunk are a multiple of it, so that a few rays more or less compile nothing anew
 EVEN = 0.1  # share of them spread evenly, the rest where the radiance is
 
