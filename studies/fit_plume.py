@@ -1,19 +1,21 @@
 """Can the state of an exhaust jet be read off its signature, and how fast?
 
-Exit temperature, scale of the mole fractions and core length of a round jet of combustion products from three bands
-and twelve aspects with 1 % noise; truth against fit with error bars, and cost against seconds beside scipy with finite
-differences: on the traced residuals, and on `jaxir.signature`, which traces every time.
+Exit temperature, scale of the mole fractions, core length and soot of a round jet of combustion products from three
+bands and twelve aspects with 1 % noise; truth against fit with error bars, and cost against seconds beside scipy with
+finite differences: on the traced residuals, and on `jaxir.signature`, which traces every time.
 """
 
 import csv
 import time
 
 import equinox as eqx
+import jax
 import matplotlib
 import numpy as np
 
 import jaxir
-from jaxir.fit import Bounds, Factor, Leaf, measured_intensity, prepare
+from jaxir.fit import jet_parameter, measured_intensity, mole_fraction_scale, particle_loading, prepare
+from jaxir.optics.particles import ParticleTable
 from studies.charts import out_folder
 from studies.fitting import error_bars, finite_differences, timed_solve
 
@@ -23,39 +25,61 @@ import matplotlib.pyplot as plt  # noqa: E402
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
 VIEWS = [(30.0 * k, (10.0, 25.0, 50.0)[k % 3]) for k in range(12)]
 NOISE = 0.01
-TRUTH = np.array([1800.0, 1.0, 5.0])  # K, scale of the mole fractions, diameters
-START = np.array([1200.0, 0.5, 8.0])
+TRUTH = np.array([1800.0, 1.0, 5.0, 1.0])  # K, scale of the mole fractions, diameters, scale of the soot
+START = np.array([1200.0, 0.5, 8.0, 1 / 3])
 RASTER = {"shape": (64, 64), "samples": 2}
 PRESSURE = 26_500.0  # Pa, at 10 km
 EXHAUST = jaxir.combustion_products(12, 23, 0.8)
 NODES = jaxir.resolved_nodes(BANDS, 200.0, 1, 0)  # the same for truth and fit, so what they leave out does not matter
 PARAMETERS = [
-    Leaf("exit temperature", lambda s: s.plume.exit_temperature, Bounds(0.0), "K"),
-    Factor("mole fractions", lambda s: (s.plume.gas.h2o, s.plume.gas.co2)),
-    Leaf("core length", lambda s: s.plume.core_length, Bounds(0.0), "diameters"),
+    jet_parameter("exit_temperature"),
+    mole_fraction_scale(),
+    jet_parameter("core_length"),
+    particle_loading(),
 ]
+RELATIVE = np.array([1.0, START[1], 1.0, START[3]])  # factors are relative to the start
+SOOT_VOLUME = 5e-8  # of soot in exhaust at the nozzle, as a share of the gas's: an optical depth of some 0.1
+SCATTERING = jaxir.Scattering(0)  # soot this fine absorbs; the study prints how little it scatters
 
 
-def scene(temperature: float, scale: float, core: float) -> jaxir.Scene:
+def soot() -> ParticleTable:
+    """Spheres of 50 nm with the refractive index of soot.
+
+    Chang and Charalampopoulos, "Determination of the wavelength dependence of refractive indices of flame soot", Proc.
+    R. Soc. Lond. A 430 (1990): polynomials in the logarithm of the wavelength [um], 0.4 to 30 um.
+    """
+    wavelength = np.geomspace(1.0, 12.5, 61)
+    powers = np.log(wavelength)[:, None] ** np.arange(4)
+    n, k = powers @ [1.811, 0.1263, 0.0270, 0.0417], powers @ [0.5821, 0.1213, 0.2309, -0.0100]
+    return jaxir.mie_table(0.05, n - 1j * k, wavelength)
+
+
+def scene(temperature: float, scale: float, core: float, load: float, table: ParticleTable) -> jaxir.Scene:
     gas = jaxir.NarrowBandGas(PRESSURE, EXHAUST.h2o * scale, EXHAUST.co2 * scale, None, EXHAUST.o2)
-    jet = jaxir.JetPlume((0, 0, 0), (-1, 0, 0), 0.5, temperature, 218.0, gas, core_length=core, length=20.0, panels=2)
-    return jaxir.Scene(plume=jet)
+    particles = jaxir.Particles(load * SOOT_VOLUME / float(table.volume), table)
+    place, shape = ((0, 0, 0), (-1, 0, 0), 0.5), {"core_length": core, "length": 20.0, "panels": 2}
+    return jaxir.Scene(plume=jaxir.JetPlume(*place, temperature, 218.0, gas, particles=particles, **shape))
 
 
 def main() -> None:
     out = out_folder("fit_plume")
-    exact = np.asarray(jaxir.signature(scene(*TRUTH), VIEWS, NODES, shape=(192, 192), samples=2).intensity)
+    table = soot()
+    seen = {"scattering": SCATTERING, "key": jax.random.key(1)}
+    truly = scene(*TRUTH, table)
+    exact = np.asarray(jaxir.signature(truly, VIEWS, NODES, shape=(192, 192), samples=2, **seen).intensity)
     spread = NOISE * exact
     noisy = exact + spread * np.random.default_rng(0).normal(size=exact.shape)
-    start = scene(*START)
+    start = scene(*START, table)
     began = time.perf_counter()
-    problem = prepare(start, PARAMETERS, [measured_intensity(start, VIEWS, NODES, noisy, spread, **RASTER)])
+    measured = measured_intensity(start, VIEWS, NODES, noisy, spread, scattering=SCATTERING, **RASTER)
+    problem = prepare(start, PARAMETERS, [measured])
     prepared = time.perf_counter() - began
     found, first, seconds = timed_solve(problem)
 
     def traced_anew(z: np.ndarray) -> np.ndarray:
         here = problem.coordinates.scene(problem.coordinates.values(z))
-        return (np.asarray(jaxir.signature(here, VIEWS, NODES, **RASTER).intensity) - noisy).ravel() / spread.ravel()
+        there = np.asarray(jaxir.signature(here, VIEWS, NODES, **RASTER, **seen).intensity)
+        return (there - noisy).ravel() / spread.ravel()
 
     residual = eqx.filter_jit(lambda p, z: p.residual(z))
     origin = problem.coordinates.origin()
@@ -64,7 +88,7 @@ def main() -> None:
         "scipy, rays traced anew": finite_differences(traced_anew, origin),
     }
 
-    truth = TRUTH / np.array([1.0, START[1], 1.0])  # the factor is relative to the start
+    truth = TRUTH / RELATIVE
     value, deviation = np.asarray(found.uncertainty.value), np.asarray(found.uncertainty.standard_deviation)
     with (out / "fit_plume.csv").open("w", newline="") as stream:
         writer = csv.writer(stream)
@@ -85,6 +109,8 @@ def main() -> None:
     right.legend()
     figure.savefig(out / "fit_plume.png", dpi=100)
     print(found)
+    albedo = np.asarray(table.scattering / table.extinction)
+    print(f"soot scatters {100 * albedo.max():.2g} % of what it takes at 1 um and less beyond, which is left out")
     said = "; ".join(
         f"{name} {b.seconds:.1f} s = {b.seconds / seconds:.1f} times, {b.calls} evaluations, "
         f"chi-squared {b.cost.min():.1f}"

@@ -4,6 +4,7 @@ The derivative of the radiant intensity, summed over twelve aspects, in the emis
 above and from behind, and as coloured PLY files that carry the numbers.
 """
 
+import csv
 import time
 
 import matplotlib
@@ -46,6 +47,13 @@ def main() -> None:
     figure.savefig(out / "where_to_paint.png", dpi=100)
     total = by_emissivity.sum()
     of_part = 100 * np.bincount(part, by_emissivity) / total
+    with (out / "where_to_paint.csv").open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(
+            ["part", "faces", "area_m2", "dI_d_emissivity_W_sr", "share_percent", "dI_d_temperature_W_sr_K"]
+        )
+        columns = (np.bincount(part), *(np.bincount(part, x) for x in (area, by_emissivity)), of_part)
+        writer.writerows(zip(aircraft.PARTS, *columns, np.bincount(part, by_temperature), strict=True))
     shares = ", ".join(f"{name} {share:.0f} %" for name, share in zip(aircraft.PARTS, of_part, strict=True))
     order = np.argsort(-per_area)
     best = order[np.cumsum(area[order]) < 0.1 * area.sum()]

@@ -18,6 +18,7 @@ from jaxir.scene.scene import Scene
 from jaxir.transport.brightness import graded_cameras
 from jaxir.transport.radiometry import compiled_radiometry
 from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
 
 
 class Measurement(eqx.Module):
@@ -29,6 +30,7 @@ class Measurement(eqx.Module):
         cameras: the views, stacked leaf by leaf [view, ...].
         nodes: spectral axis of the prediction.
         reflection: how the prediction finds reflected light, as in `render`.
+        scattering: how it follows light that particles scatter, as in `render`.
         samples: rays per pixel; even.
         per_pixel: whether each row is a pixel's radiance (one view) or a view's radiant intensity.
     """
@@ -38,6 +40,7 @@ class Measurement(eqx.Module):
     cameras: Camera
     nodes: Nodes
     reflection: Reflection | None
+    scattering: Scattering | None
     samples: int = eqx.field(static=True)
     per_pixel: bool = eqx.field(static=True)
 
@@ -60,6 +63,7 @@ def measured_intensity(
     shape: tuple[int, int] = (64, 64),
     samples: int = 2,
     reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
 ) -> Measurement:
     """Measured contrast intensities over aspects, as `signature` predicts them.
 
@@ -73,6 +77,7 @@ def measured_intensity(
         shape: rows and columns of the images that predict.
         samples: rays per pixel; even.
         reflection: as `render`.
+        scattering: as `render`; `Scattering(0)` leaves out what particles scatter, and with it its noise.
 
     Returns:
         The measurement.
@@ -86,7 +91,7 @@ def measured_intensity(
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     cameras = graded_cameras(compiled_radiometry(scene, nodes), aspect, shape, distance)
     wanted = (aspect.shape[0], len(nodes.names))
-    return _measurement(value, standard_deviation, wanted, cameras, nodes, reflection, samples, False)
+    return _measurement(value, standard_deviation, wanted, cameras, nodes, (reflection, scattering), samples, False)
 
 
 def measured_image(
@@ -97,6 +102,7 @@ def measured_image(
     *,
     samples: int = 2,
     reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
 ) -> Measurement:
     """A measured radiance image; an image of one pixel is a measured band radiance.
 
@@ -107,6 +113,7 @@ def measured_image(
         standard_deviation: of each value, or one for all.
         samples: rays per pixel; even.
         reflection: as `render`.
+        scattering: as `render`; `Scattering(0)` leaves out what particles scatter, and with it its noise.
 
     Returns:
         The measurement.
@@ -117,7 +124,7 @@ def measured_image(
     nodes = as_nodes(bands)
     wanted = (*camera.shape, len(nodes.names))
     one = jax.tree.map(lambda leaf: leaf[None], camera)
-    return _measurement(value, standard_deviation, wanted, one, nodes, reflection, samples, True)
+    return _measurement(value, standard_deviation, wanted, one, nodes, (reflection, scattering), samples, True)
 
 
 def _measurement(
@@ -126,7 +133,7 @@ def _measurement(
     shape: tuple[int, ...],
     cameras: Camera,
     nodes: Nodes,
-    reflection: Reflection | None,
+    light: tuple[Reflection | None, Scattering | None],
     samples: int,
     per_pixel: bool,
 ) -> Measurement:
@@ -137,5 +144,5 @@ def _measurement(
         raise ValueError(f"measurement.standard_deviation: got shape {spread.shape}, expected one value or {shape}")
     flat = (-1, shape[-1])
     spread = jnp.broadcast_to(spread, shape).reshape(flat)
-    made = Measurement(numbers.reshape(flat), spread, cameras, nodes, reflection, samples, per_pixel)
+    made = Measurement(numbers.reshape(flat), spread, cameras, nodes, *light, samples, per_pixel)
     return enforce(made, made.checks())

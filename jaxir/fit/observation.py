@@ -33,7 +33,7 @@ from jaxir.transport.reflection import Reflection, reflection_of
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 SLICE = 64  # rays in a slice, at most
-THIN = 60  # rays of each half of a row that lead a jet near the solution; with rounding one slice
+THIN = 120  # rays of each half of a row that lead a jet to the solution; with rounding two slices
 ROUND = 8  # slices of a chunk are a multiple of it, so that a few rays more or less compile nothing anew
 EVEN = 0.1  # share of them spread evenly, the rest where the radiance is
 
@@ -320,7 +320,7 @@ def _ray_sum(scene: Scene, measurement: Measurement, rays: _ViewRays | None, key
         return None
     index, gap, group = _layout(np.asarray(rays.group), measurement.nodes)
     laid = _gather(rays, index.reshape(index.shape[0], -1))
-    paths = _trace_chunks(scene, laid.rays, measurement.reflection, jax.random.split(key, index.shape[0]))
+    paths = _trace_chunks(scene, laid.rays, measurement, jax.random.split(key, index.shape[0]))
     if paths.crossings is not None:
         longest = max(1, int(jax.vmap(lambda c: c.longest())(paths.crossings).max()))
         trimmed = jax.vmap(lambda c: c.trim(longest))(paths.crossings)
@@ -330,9 +330,10 @@ def _ray_sum(scene: Scene, measurement: Measurement, rays: _ViewRays | None, key
 
 
 @eqx.filter_jit
-def _trace_chunks(scene: Scene, rays: Rays, reflection: Reflection | None, keys: Array) -> Paths:
+def _trace_chunks(scene: Scene, rays: Rays, measurement: Measurement, keys: Array) -> Paths:
     def chunk(each: tuple[Rays, Array]) -> Paths:
-        return store_crossings(scene, trace(scene, each[0], reflection, each[1]))
+        traced = trace(scene, each[0], measurement.reflection, each[1], measurement.scattering)
+        return store_crossings(scene, traced)
 
     return lax.map(chunk, (rays, keys))
 

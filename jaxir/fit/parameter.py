@@ -157,29 +157,12 @@ class Factor(AbstractParameter):
 
     def read(self, scene: Scene) -> Float[Array, " k"]:
         """See `AbstractParameter.read`: 1."""
+        self.where(scene)  # so that a scene without such leaves is refused at once
         return jnp.ones((1,), float_dtype())
 
     def write(self, scene: Scene, value: Float[Array, " k"]) -> Scene:
         """See `AbstractParameter.write`."""
         return eqx.tree_at(self.where, scene, replace_fn=lambda leaf: leaf * value.reshape((1,) * leaf.ndim))
-
-
-def part_emissivity(part: str) -> PartValue:
-    """Emissivity of a part of a `Lambert` skin, between 0 and 1."""
-    return PartValue(f"emissivity of {part}", _emissivity, Bounds(0.0, 1.0), part=part)
-
-
-def part_temperature(part: str) -> PartValue:
-    """Temperature of a part of the skin, positive."""
-    return PartValue(f"temperature of {part}", _temperature, Bounds(0.0), "K", part=part)
-
-
-def _emissivity(scene: Any) -> Any:  # also called on scenes whose leaves stand for themselves
-    return scene.skin.brdf.hemispherical_emissivity
-
-
-def _temperature(scene: Any) -> Any:
-    return scene.skin.temperature
 
 
 class Coordinates(eqx.Module):

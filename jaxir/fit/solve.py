@@ -6,25 +6,25 @@ traced rays suit, they are traced again from there and the solver starts anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jax import lax
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float
 from jaxir.fit.measurement import Measurement
 from jaxir.fit.parameter import AbstractParameter, Coordinates, at_values
 from jaxir.fit.prior import AbstractPrior
-from jaxir.fit.problem import Problem, prepare, value_and_jacobian, with_jacobian
+from jaxir.fit.problem import Problem, prepare
 from jaxir.fit.result import Fit, Uncertainty, uncertainty
+from jaxir.fit.walk import MISLED, SETTLING, linearised, loss_at, settle, walk
 from jaxir.scene.scene import Scene
 
+LEAP = 1.0  # natural steps from where rays were traced beyond which they are not asked where to trace next
 LEAST_SHARE = 0.5  # effective share of sampled directions below which they are drawn anew
 
 
@@ -48,7 +48,7 @@ def fit(
         parameters: what may change, see `jaxir.fit.parameter`.
         measurements: see `measured_intensity`, `measured_image`.
         priors: what is known of a parameter, by its name: extra residuals, see `jaxir.fit.prior`.
-        solver: of optimistix; Levenberg-Marquardt by default. `optimistix.LBFGS` suits thousands of parameters.
+        solver: of optimistix; `LevenbergMarquardt` by default. `optimistix.LBFGS` suits thousands of parameters.
         robust: residual, in standard deviations, from which the loss grows linearly (pseudo-Huber).
         starts: further starts, physical values [start, p]; all run under one vmap, the best result counts.
         max_steps: of the solver, for each of its two walks.
@@ -92,35 +92,43 @@ def solve(
     size = _effect(problem, begin[0])
     reached: list[Array] = []
     for traced in range(1, rounds + 1):
-        ends, losses, steps, results = _solve(problem, begin, size, solver, max_steps)
-        best = int(np.nanargmin(np.where(np.isfinite(losses), losses, np.inf)))
-        z = ends[best]
-        reached.append(losses)
+        walked = walk(problem, begin, size, solver, max_steps, True)
+        best = int(np.nanargmin(np.where(np.isfinite(walked.loss), walked.loss, np.inf)))
+        z, steps, result = walked.end[best], int(walked.steps[best]), _pick(walked.result, best)
+        if not bool(result == optx.RESULTS.successful) and not walked.loss[best] < loss_at(problem, begin[best]):
+            z = begin[best]  # the best point is kept
+        reached.append(walked.loss)
         scene = coordinates.scene(coordinates.values(z))
         share = effective_share(problem, scene)
         drifted = bool(share < LEAST_SHARE) or not all(o.holds(scene) for o in problem.observations)
         if not drifted or traced == rounds:
             break
-        problem, begin = problem.retraced(scene), z[None]
-    jacobian, (halves, prior) = _linearised(problem, z), _predicted(problem, z)
-    residual = problem.stacked(halves, prior)
-    error = tuple((half[0] - half[1]) / 2 for half in halves)
+        move = z - begin[best]
+        begin = (begin[best] + move / jnp.maximum(1, jnp.max(jnp.abs(move)) / LEAP))[None]
+        problem = problem.retraced(coordinates.scene(coordinates.values(begin[0])))
+    leads = problem.thins and solver is None
+    end = settle(problem, z, SETTLING if leads else 0)
+    arrived = bool(result == optx.RESULTS.successful) and end.distance <= MISLED
+    if leads and not drifted and not arrived:  # fewer rays have misled
+        walked = walk(problem, end.z[None], size, solver, max_steps, False)
+        end, result = settle(problem, walked.end[0], 0), _pick(walked.result, 0)
+        steps += int(walked.steps[0])
+    residual, values = problem.stacked(end.halves, end.prior), coordinates.values(end.z)
+    slope, error = coordinates.slope(end.z), tuple((half[0] - half[1]) / 2 for half in end.halves)
     return Fit(
-        scene=scene,
-        uncertainty=uncertainty(
-            coordinates.labels, coordinates.units, coordinates.values(z), coordinates.slope(z), jacobian
-        ),
-        residual=tuple(half.mean(axis=0) for half in halves),
+        scene=coordinates.scene(values),
+        uncertainty=uncertainty(coordinates.labels, coordinates.units, values, slope, end.jacobian),
+        residual=tuple(half.mean(axis=0) for half in end.halves),
         chi_squared=jnp.sum(residual * residual),
         degrees_of_freedom=problem.data - coordinates.count,
-        sampling_error=jnp.abs(coordinates.slope(z)) * _propagated(jacobian, error),
+        sampling_error=jnp.abs(slope) * _propagated(end.jacobian, error),
         sampling_chi_squared=sum((jnp.sum(e * e) for e in error), jnp.zeros((), z.dtype)),
-        steps=int(steps[best]),
+        steps=steps,
         starts=reached[0],
         rounds=traced,
         effective_share=share,
         drifted=drifted,
-        solver_result=jax.tree.map(lambda leaf: leaf[best], results),
+        solver_result=result,
     )
 
 
@@ -150,8 +158,12 @@ def expected_uncertainty(
     problem = prepare(scene, parameters, measurements, priors=priors, key=key)
     coordinates = problem.coordinates
     z = coordinates.origin()
-    jacobian = _linearised(problem, z)
+    _, jacobian = linearised(problem, z, False)
     return uncertainty(coordinates.labels, coordinates.units, coordinates.values(z), coordinates.slope(z), jacobian)
+
+
+def _pick(results: optx.RESULTS, start: int) -> optx.RESULTS:
+    return jax.tree.map(lambda leaf: leaf[start], results)
 
 
 def effective_share(problem: Problem, scene: Scene) -> Float[Array, ""]:
@@ -175,7 +187,7 @@ def _starts(coordinates: Coordinates, starts: Any) -> Float[Array, "start p"]:
 
 def _effect(problem: Problem, z: Array) -> Float[Array, " p"]:
     """Norm of each column of the Jacobian at the start; a parameter without effect is named in an error."""
-    jacobian = _linearised(problem, z)
+    _, jacobian = linearised(problem, z, problem.thins)
     size = jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0))
     still = np.asarray(size) == 0
     if still.any():
@@ -185,76 +197,6 @@ def _effect(problem: Problem, z: Array) -> Float[Array, " p"]:
             f"parameters: {shown} changes nothing in the measured views and bands; remove it or add a prior"
         )
     return size
-
-
-Walked = tuple[Array, Array, Array, optx.RESULTS]
-
-
-class _Walk(eqx.Module):
-    """How one walk of the solver goes: on which residuals, and to which tolerance."""
-
-    logarithmic: Bool[Array, "*walk"]
-    rtol: Float[Array, "*walk"]
-    atol: Float[Array, "*walk"]
-
-
-@eqx.filter_jit
-def _solve(problem: Problem, first: Array, size: Array, solver: Any, max_steps: int) -> Walked:
-    """Solve from every start: ends, losses, steps, results.
-
-    The solver moves w = (z - z_begin) * size: a unit step moves the residuals by about one standard deviation
-    whatever the parameter, so damping and tolerances mean the same for all of them. A first walk on the logarithmic
-    residuals, of fewer rays where those suffice, leads near the solution; a second on the ordinary ones of all rays to
-    it. Where both are of the same rays they are one compiled loop.
-    """
-
-    def loss(z: Array) -> Array:
-        return jnp.sum(problem.robustly(problem.residual(z)) ** 2)
-
-    def walk(of: Callable[[Array], Array], begin: Array, how: _Walk) -> tuple[Array, tuple[Array, optx.RESULTS]]:
-        def residual(w: Array) -> Array:
-            r = of(begin + w / size)
-            return problem.robustly(jnp.where(how.logarithmic, problem.logarithmic(r), r))
-
-        chosen = optx.LevenbergMarquardt(how.rtol, how.atol) if solver is None else solver  # type: ignore[arg-type]
-        function = with_jacobian(residual) if solver is None else residual
-        found: optx.Solution = optx.least_squares(
-            lambda w, _: function(w), chosen, jnp.zeros_like(begin), max_steps=max_steps, throw=False
-        )
-        end = begin + found.value / size
-        kept = jnp.where(jnp.isfinite(end).all(), end, begin)
-        return kept, (found.stats["num_steps"], found.result)
-
-    def one(start: Array) -> Walked:
-        # in units of one standard deviation: a tenth leads near, a hundredth is the answer
-        how = _Walk(jnp.array([True, False]), as_float([1e-2, 1e-6]), as_float([1e-1, 1e-2]))
-        if problem.thins:
-            near, far = (jax.tree.map(lambda leaf, k=k: leaf[k], how) for k in (0, 1))
-            middle, (before, _) = walk(problem.thinned, start, near)
-            end, (after, result) = walk(problem.residual, middle, far)
-            steps = before + after
-        else:
-            end, (counts, results) = lax.scan(lambda z, how: walk(problem.residual, z, how), start, how)
-            steps, result = jnp.sum(counts), jax.tree.map(lambda leaf: leaf[-1], results)
-        began, ended = loss(start), loss(end)
-        better = ended <= began
-        return jnp.where(better, end, start), jnp.where(better, ended, began), steps, result
-
-    if first.shape[0] == 1:
-        return jax.tree.map(lambda leaf: leaf[None], one(first[0]))
-    return jax.vmap(one)(first)
-
-
-@eqx.filter_jit
-def _linearised(problem: Problem, z: Array) -> Float[Array, "row p"]:
-    """Jacobian of the residuals."""
-    return value_and_jacobian(problem.residual, z)[1]
-
-
-@eqx.filter_jit
-def _predicted(problem: Problem, z: Array) -> tuple[tuple[Array, ...], Array]:
-    """Residuals of both halves of all rays, and of the priors."""
-    return problem.halves(z), problem.prior(z)
 
 
 def _propagated(jacobian: Array, errors: tuple[Array, ...]) -> Float[Array, " p"]:

@@ -106,7 +106,8 @@ def _chord(jet: JetPlume, origin: Float[Array, " 3"], direction: Float[Array, " 
     nearest = jnp.clip(view.nearest, low, high)  # a ray that misses the core is cut where f has its ridge
     core_low, core_high = jnp.where(cored, core_low, nearest), jnp.where(cored, core_high, nearest)
     oblique = jnp.abs(view.slope) >= FLAT
-    decay = jnp.where(oblique, (jet.core_end - view.along) / jnp.where(oblique, view.slope, 1), low)
+    beyond = 2 * low - high  # far before either layer
+    decay = jnp.where(oblique, (jet.core_end - view.along) / jnp.where(oblique, view.slope, 1), beyond)
     first, second = (_cut(jet, view, *piece, decay) for piece in ((low, core_low), (core_high, high)))
     return _Chord(view, jnp.stack([low, first, core_low, core_high, second, high]))
 
@@ -118,9 +119,14 @@ def meets_jet(jet: JetPlume, rays: Rays, t_max: Float[Array, " ray"]) -> Bool[Ar
 
 
 def _cut(jet: JetPlume, view: AxisView, begin: Array, end: Array, decay: Array) -> Array:
-    """Where a shear layer is cut in two: where the decay begins, else in its middle."""
+    """Where a shear layer is cut in two: where the decay begins; far from there, in its middle.
+
+    From an end of the layer the cut moves back to the middle as far as the decay's beginning moves beyond, so that
+    the quadrature is a continuous function of the jet: else its derivatives would lack what jumps.
+    """
     middle = _spread(jet, view, begin, end).place(jnp.asarray(0.5, begin.dtype))[0]
-    return jnp.where((decay > begin) & (decay < end), decay, middle)
+    before, behind = jnp.minimum(2 * begin - decay, middle), jnp.maximum(2 * end - decay, middle)
+    return jnp.where(decay < begin, before, jnp.where(decay > end, behind, decay))
 
 
 class _Spread(NamedTuple):

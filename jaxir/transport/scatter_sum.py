@@ -55,13 +55,17 @@ def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection |
     phase = medium.phase
     count = path.length.shape[0]
 
-    def step(state: tuple[Orders, Array], link: tuple[ScatterPath, _Place]) -> tuple[tuple[Orders, Array], None]:
-        (sums, through), (leg, place) = state, link
+    def brings(leg: ScatterPath, place: _Place) -> Array:
         brought = _unscattered(optical, leg, reflection, _at_end(optical, leg, reflection, place))
         for source, irradiance in zip(cell_lights(optical.scene), optical.irradiance, strict=True):
             assert isinstance(medium, GridMedium)
             cosine = jnp.sum(leg.rays.direction * -source.direction[None], axis=-1)
             brought = brought + medium.in_scattered(irradiance, cosine, leg.rays, leg.length)
+        return brought
+
+    def step(state: tuple[Orders, Array], link: tuple[ScatterPath, _Place]) -> tuple[tuple[Orders, Array], None]:
+        (sums, through), (leg, place) = state, link
+        brought = brings(leg, place)
         scattered = leg.place.factor > 0
         reach = jnp.where(scattered, leg.place.t, jnp.where(leg.factor > 0, leg.length, 0))
         passed = medium.transmittance(leg.rays, reach)
@@ -82,6 +86,10 @@ def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection |
     dark = jnp.zeros((first.count, optical.nodes.count), first.origin.dtype)
     index = jnp.arange(count, dtype=jnp.int32)
     places = _Place(index == 0, index == count - 1)
+    if count == 1:  # nothing goes on
+        only, place = jax.tree.map(lambda leaf: leaf[0], (path, places))
+        brought = brings(only, place)
+        return Orders(brought, brought, dark)
     return lax.scan(step, (Orders(dark, dark, dark), jnp.ones_like(dark)), (path, places))[0][0]
 
 

@@ -15,14 +15,20 @@ from jaxir.fit import (
     NormalPrior,
     expected_uncertainty,
     fit,
+    jet_parameter,
     measured_image,
     measured_intensity,
+    mole_fraction_scale,
     part_emissivity,
     part_temperature,
+    particle_loading,
     prepare,
     sensitivity,
     solve,
+    temperature_scale,
 )
+from jaxir.optics.particles import ParticleTable
+from jaxir.optics.phase import Isotropic
 from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, looked_at, slab
 from tests.scenes import box_mesh
 
@@ -209,11 +215,46 @@ def _face_sum(temperature, scene, azimuth, elevation):
         (lambda m: Bounds(1.0, 0.0), "Bounds: got 1.0, 0.0"),
         (lambda m: Bounds(upper=1.0), "got an upper bound 1.0 without a lower"),
         (lambda m: fit(body([0.5] * 3, [300] * 3), [part_emissivity("tail")], [m]), "got part 'tail', expected one of"),
+        (
+            lambda m: jet_parameter("panels"),
+            "jet_parameter: got 'panels', expected one of .*'nozzle', 'exit_temperature'",
+        ),
+        (
+            lambda m: fit(slab(900, 1), [jet_parameter("length")], [m]),
+            "jet_parameter: got GridPlume as the scene's plume, expected a JetPlume",
+        ),
+        (lambda m: fit(slab(900, 1), [mole_fraction_scale()], [m]), "mole_fraction_scale: got GrayGas in the plume"),
+        (lambda m: fit(slab(900, 1), [particle_loading()], [m]), "particle_loading: got nothing in the plume"),
+        (
+            lambda m: fit(body([0.5] * 3, [300] * 3), [temperature_scale()], [m]),
+            "temperature_scale: got nothing as the scene's plume, expected a GridPlume",
+        ),
     ],
 )
 def test_wrong_input_is_named(build, message):
     with pytest.raises(ValueError, match=message):
         build(looked_at(slab(900.0, 1.0), BANDS))
+
+
+def test_named_parameters_change_what_they_name():
+    gas = jaxir.NarrowBandGas(2e4, 0.1, 0.05)
+    soot = jaxir.GrayParticles(2.0, 0.1, Isotropic())
+    jet = jaxir.Scene(plume=jaxir.JetPlume((0, 0, 0), (1, 0, 0), 0.5, 900.0, 250.0, gas, particles=soot))
+    grid = jaxir.Grid((0, 0, 0), (1, 1, 1), (1, 2, 1))
+    table = ParticleTable([1e3, 9e3], [2e-12, 2e-12], [1e-12, 1e-12], 1e-18, [-1, 1], np.full((2, 2), 0.08))
+    cells = jaxir.Scene(plume=jaxir.GridPlume(grid, 500.0, gas, jaxir.Particles(np.full((1, 2, 1), 1e9), table)))
+    two = jnp.asarray([2.0])
+    for field, unit in (("exit_temperature", "K"), ("spreading", ""), ("core_length", "diameters")):
+        parameter = jet_parameter(field)
+        assert parameter.unit == unit and parameter.bounds.lower == 0
+        assert float(getattr(parameter.write(jet, two).plume, field)) == 2
+    assert jet_parameter("nozzle").read(jet).shape == (3,)
+    for scene in (jet, cells):
+        mixed = mole_fraction_scale().write(scene, two).plume.gas
+        assert (float(mixed.h2o), float(mixed.co2), mixed.co) == pytest.approx((0.2, 0.1, None))
+    assert float(particle_loading().write(jet, two).plume.particles.extinction[0]) == 4
+    assert (particle_loading().write(cells, two).plume.particles.number_density == 2e9).all()
+    assert (temperature_scale().write(cells, two).plume.temperature == 1000).all()
 
 
 def test_a_parameter_that_touches_nothing_in_view_is_named():

@@ -119,7 +119,9 @@ def test_a_jet_that_outgrows_its_images_is_traced_again():
     assert once.rounds == 1 and once.drifted and "allow more rounds" in str(once)
     assert often.rounds > 1 and not often.drifted
     np.testing.assert_allclose(often.uncertainty.value, [1200.0, 16.0], rtol=0.02)
-    assert float(often.chi_squared) < min(often.degrees_of_freedom, float(once.chi_squared))
+    # rays of their own made the measured values, so what rays put in comes twice
+    assert float(often.chi_squared) < often.degrees_of_freedom + 3 * float(often.sampling_chi_squared)
+    assert float(often.chi_squared) < float(once.chi_squared)
 
 
 def test_fewer_rays_stand_for_all_that_meet_a_jet():

@@ -169,6 +169,30 @@ def test_forward_reverse_and_difference_agree_in_every_parameter(x64):
             np.testing.assert_allclose(forward[index][place], difference, rtol=1e-5, err_msg=f"{index} {place}")
 
 
+def test_where_a_ray_is_cut_moves_without_jumps(x64):
+    """Many rays and one panel: the derivative of their sum is its slope only if no ray's quadrature jumps."""
+    rng, count = np.random.default_rng(0), 2000
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    middle = np.stack([rng.uniform(0.2, 9, count), *(0.3 * rng.normal(size=(2, count)))], axis=1)
+    rays = Rays(jnp.asarray(middle - 20 * direction), jnp.asarray(direction))
+
+    @jax.jit
+    def both(core):
+        def total(core):
+            along_x = jet(1, length=20.0, nozzle=np.zeros(3), axis=np.array([1.0, 0.0, 0.0]), core_length=core)
+            return (
+                jet_medium(along_x, gray_nodes((jaxir.MWIR,)))
+                .leg(rays, jnp.full(count, jnp.inf), jnp.zeros((count, 1)))
+                .sum()
+            )
+
+        return jax.jvp(total, (core,), (1.0,))
+
+    difference = (both(6.001)[0] - both(5.999)[0]) / 0.002
+    np.testing.assert_allclose(difference, both(6.0)[1], rtol=1e-3)
+
+
 def test_values_and_gradients_are_finite_at_every_hard_place():
     w = AXIS / np.linalg.norm(AXIS)
     side = np.cross(w, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(w, [0.0, 0.0, 1.0]))

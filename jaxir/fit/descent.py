@@ -1,0 +1,141 @@
+"""The solver of fits: Levenberg and Marquardt's, which takes a Jacobian only where it has arrived.
+
+With the singular values s_k and left and right vectors u_k, v_k of the Jacobian, a step is
+
+    delta = - sum_k v_k s_k c_k / (s_k^2 + damping),    c_k = u_k . residual,
+
+so one decomposition serves every damping that a rejected step asks for. The damping follows the ratio of the fall of
+the loss to the predicted one as in Nielsen, "Damping parameter in Marquardt's method" (IMM-REP-1999-05, DTU, 1999).
+
+|c| is the distance to the solution of the linearised problem in units of the residual: where residuals are in standard
+deviations, so is it. The solver stops there, not where a step is short, so a damped step far from the solution ends
+nothing, and neither does a flat direction that the data do not determine keep it going.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jax import lax
+from jaxtyping import Array, Bool, Float, PyTree
+
+START = 1e-3  # damping at first, in units of the largest squared singular value
+LEAST_RATIO = 1e-3  # of the fall of the loss to the predicted one, for a step to be taken
+NEARLY = 10  # tolerances from the solution within which a step that gains nothing tells rounding, and is the last
+
+
+class _State(eqx.Module):
+    """Where the solver stands: the point it tries next, and the linearised problem at the point it holds."""
+
+    trial: Float[Array, " p"]
+    loss: Float[Array, ""]
+    singular: Float[Array, " k"]
+    right: Float[Array, "k p"]
+    along: Float[Array, " k"]
+    damping: Float[Array, ""]
+    growth: Float[Array, ""]
+    predicted: Float[Array, ""]
+    first: Bool[Array, ""]
+    done: Bool[Array, ""]
+    result: Any
+
+
+class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+    """Damped Gauss-Newton steps; one evaluation each, and a Jacobian where the step was taken.
+
+    Attributes:
+        atol: distance from the solution at which to stop, in units of the residual.
+        rtol: as `atol`, in units of the residual's norm.
+        norm: unused; optimistix asks for one.
+    """
+
+    atol: Any
+    rtol: Any = 0.0
+    norm: Callable[[PyTree], Any] = optx.two_norm
+
+    def init(
+        self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: frozenset[object]
+    ) -> _State:
+        """See `optimistix.AbstractIterativeSolver.init`."""
+        rank = min(y.shape[0], f_struct.shape[0])
+        zero = jnp.zeros((), y.dtype)
+        return _State(
+            trial=y,
+            loss=zero,
+            singular=jnp.zeros(rank, y.dtype),
+            right=jnp.zeros((rank, y.shape[0]), y.dtype),
+            along=jnp.zeros(rank, y.dtype),
+            damping=zero,
+            growth=zero + 2,
+            predicted=zero,
+            first=jnp.array(True),
+            done=jnp.array(False),
+            result=optx.RESULTS.successful,
+        )
+
+    def step(
+        self, fn: Any, y: Any, args: Any, options: Any, state: _State, tags: frozenset[object]
+    ) -> tuple[Array, _State, Any]:
+        """See `optimistix.AbstractIterativeSolver.step`."""
+        residual, aux = fn(state.trial, args)
+        loss = jnp.sum(residual * residual)
+        ratio = (state.loss - loss) / jnp.where(state.first, 1, state.predicted)
+        taken = state.first | (ratio > LEAST_RATIO)
+
+        def linearised() -> tuple[Array, Array, Array, Array]:
+            basis = jnp.eye(y.shape[0], dtype=y.dtype)
+            jacobian = jax.vmap(lambda t: jax.jvp(lambda y: fn(y, args)[0], (state.trial,), (t,))[1], out_axes=1)(basis)
+            left, singular, right = jnp.linalg.svd(jacobian, full_matrices=False)
+            return loss, singular, right, left.T @ residual
+
+        held = state.loss, state.singular, state.right, state.along
+        held_loss, singular, right, along = lax.cond(taken, linearised, lambda: held)
+        shrunk = state.damping * jnp.maximum(1 / 3, 1 - (2 * jnp.minimum(ratio, 1) - 1) ** 3)
+        damping = jnp.where(taken, shrunk, state.damping * state.growth)
+        damping = jnp.where(state.first, START * jnp.max(singular, initial=0) ** 2, damping)
+        square = singular * singular
+        damped = square + damping
+        delta = -(singular * along / jnp.where(damped > 0, damped, 1)) @ right
+        left_over = damping / jnp.where(damped > 0, damped, 1)
+        predicted = jnp.sum(along * along * (1 - left_over * left_over))
+        tolerance = self.atol + self.rtol * jnp.sqrt(held_loss)
+        seen = singular > jnp.finfo(y.dtype).eps * jnp.max(singular, initial=0)
+        distance = jnp.sqrt(jnp.sum(jnp.where(seen, along * along, 0)))
+        near = distance <= NEARLY * tolerance
+        arrived = (distance <= tolerance) | (near & ~taken)
+        stuck = ~(predicted > tolerance * tolerance)  # also where nothing is finite any more
+        here = jnp.where(taken, state.trial, y)
+        return (
+            here,
+            _State(
+                trial=here + delta,
+                loss=held_loss,
+                singular=singular,
+                right=right,
+                along=along,
+                damping=damping,
+                growth=jnp.where(taken, 2, 2 * state.growth),
+                predicted=predicted,
+                first=jnp.array(False),
+                done=arrived | stuck,
+                result=optx.RESULTS.where(stuck & ~near, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful),
+            ),
+            aux,
+        )
+
+    def terminate(
+        self, fn: Any, y: Any, args: Any, options: Any, state: _State, tags: frozenset[object]
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """See `optimistix.AbstractIterativeSolver.terminate`."""
+        return state.done, state.result
+
+    def postprocess(
+        self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: _State, tags: frozenset[object], result: Any
+    ) -> tuple[Array, Any, dict[str, Any]]:
+        """See `optimistix.AbstractIterativeSolver.postprocess`."""
+        return y, aux, {}
