@@ -4,7 +4,6 @@ python -m studies.plan_choice
 """
 
 import csv
-import itertools
 import statistics
 import time
 
@@ -18,6 +17,8 @@ from studies.charts import out_folder
 
 SAMPLES = (2, 4, 8, 18, 32, 72, 128, 288)
 REPEATS = 5
+TOLERANCES = (1e-2, 2e-3, 7e-4)
+PATHS = (3e-2, 1e-2)  # of scenes in which paths are sampled from scattering to scattering
 WAYS = {
     "light": jaxir.Reflection(jaxir.LightSampling(1)),
     "mis": jaxir.Reflection(jaxir.MultipleImportance(1, 1)),
@@ -143,8 +144,8 @@ def compare(name, scene, ways, pixel, rtol):
 
 
 def main():
-    grid = list(itertools.product(scenes(), (1e-2, 2e-3, 7e-4)))
-    rows = [row for (scene, rtol) in tqdm(grid) if (row := compare(*scene, rtol)) is not None]
+    grid = [(scene, rtol) for scene in scenes() for rtol in (PATHS if "particles" in scene[0] else TOLERANCES)]
+    rows = [row for scene, rtol in tqdm(grid) if (row := compare(*scene, rtol)) is not None]
     out = out_folder("plan_choice")
     with open(out / "plan_choice.csv", "w", newline="") as stream:
         writer = csv.DictWriter(stream, rows[0])

@@ -55,7 +55,6 @@ class Conditions:
     particle_index: tuple[float, float] = (2.0, 5e-5)  # n, k
     particle_density: float = 2200.0  # * of the substance [kg/m3]
     sun_irradiance: float = 10.0  # SWIR, along -z; * the paper's "10 W m-2 sr-1" read as irradiance [W m-2]
-    depth: int = 10  # reflections and scatterings
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +66,7 @@ class Effort:
     pixels: int  # across an image
     samples: int  # rays per pixel of an image
     bins: tuple[float, int, int]  # width [cm-1], quantiles, quantiles per gas where two overlap
-    depth: int  # largest number of reflections and scatterings
+    depth: int  # largest number of reflections and scatterings; 10 in Table 3
 
 
 FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10)
@@ -167,18 +166,17 @@ def through_air(table: Signature, nodes: jaxir.Nodes, place: str) -> Signature:
 Tables = dict[tuple[str, str, str], Signature]  # by aircraft, place, axis
 
 
-def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, given: Conditions, folder: Path | None) -> Tables:
+def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, folder: Path | None) -> Tables:
     """Intensities around three axes; in a folder every finished view is kept, so that a run that was killed goes on."""
     views = circles(effort.step)
     tables: Tables = {}
-    depth = min(effort.depth, given.depth)
     for name, scene in made.items():
         asked = (scene, np.concatenate(list(views.values())), each_node(nodes))
         how = {
             "distance": 5_000.0,
             "shape": (effort.view // 2, effort.view),
-            "reflection": jaxir.Reflection(bounces=depth),
-            "scattering": jaxir.Scattering(depth),
+            "reflection": jaxir.Reflection(bounces=effort.depth),
+            "scattering": jaxir.Scattering(effort.depth),
         }
         vacuum = jaxir.signature(*asked, **how) if folder is None else sweep(folder / name, *asked, **how)
         for place in PLACES:
@@ -197,9 +195,7 @@ def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, given: Conditio
     return tables
 
 
-def images(
-    made: dict[str, jaxir.Scene], nodes: jaxir.Nodes, effort: Effort, given: Conditions
-) -> dict[str, jaxir.Image]:
+def images(made: Scenes, nodes: jaxir.Nodes, effort: Effort) -> dict[str, jaxir.Image]:
     """Fig. 15: from below behind on the ground, from the side in the air."""
     found = {}
     for place, (_, distance, resolution) in PLACES.items():
@@ -210,14 +206,13 @@ def images(
         )
         for name, scene in made.items():
             seen = eqx.tree_at(lambda s: s.atmosphere, scene, path_of(place), is_leaf=lambda x: x is None)
-            depth = min(effort.depth, given.depth)
             found[f"{name}, {place}"] = jaxir.render(
                 seen,
                 camera,
                 nodes,
                 samples=effort.samples,
-                reflection=jaxir.Reflection(bounces=depth),
-                scattering=jaxir.Scattering(depth),
+                reflection=jaxir.Reflection(bounces=effort.depth),
+                scattering=jaxir.Scattering(effort.depth),
             )
     return found
 
@@ -366,7 +361,7 @@ def main(argv: list[str]) -> None:
     made = scenes(mesh, temperature, nodes, given)
 
     began = time.perf_counter()
-    seen = images(made, nodes, effort, given)
+    seen = images(made, nodes, effort)
     for name, image in seen.items():
         stem = out / name.replace(", ", "_")
         save_image(stem.with_suffix(".npz"), image)
@@ -376,12 +371,12 @@ def main(argv: list[str]) -> None:
     views = None if chosen.quick else out / "views"
     if views is not None:
         views.mkdir(exist_ok=True)
-    tables = signatures(made, nodes, effort, given, views)
+    tables = signatures(made, nodes, effort, views)
     for (name, place, axis), table in tables.items():
         save_signature(out / f"{name}_{place}_{axis}.csv", table)
     intensities_around(out / "intensities.png", tables, effort.step)
     after_views = time.perf_counter()
-    side = from_the_side(made, nodes, min(effort.depth, given.depth))
+    side = from_the_side(made, nodes, effort.depth)
     said = conclusions(tables, side)
     said += ["what decides it:", *cooler_exhaust(made["plain"], nodes, side["plain"].skin)]
 
