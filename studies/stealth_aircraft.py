@@ -361,13 +361,6 @@ def main(argv: list[str]) -> None:
     made = scenes(mesh, temperature, nodes, given)
 
     began = time.perf_counter()
-    seen = images(made, nodes, effort)
-    for name, image in seen.items():
-        stem = out / name.replace(", ", "_")
-        save_image(stem.with_suffix(".npz"), image)
-        save_tiff(stem.with_suffix(".tif"), image)
-    radiance_panels(out / "images.png", seen)
-    after_images = time.perf_counter()
     views = None if chosen.quick else out / "views"
     if views is not None:
         views.mkdir(exist_ok=True)
@@ -376,6 +369,13 @@ def main(argv: list[str]) -> None:
         save_signature(out / f"{name}_{place}_{axis}.csv", table)
     intensities_around(out / "intensities.png", tables, effort.step)
     after_views = time.perf_counter()
+    seen = images(made, nodes, effort)
+    for name, image in seen.items():
+        stem = out / name.replace(", ", "_")
+        save_image(stem.with_suffix(".npz"), image)
+        save_tiff(stem.with_suffix(".tif"), image)
+    radiance_panels(out / "images.png", seen)
+    after_images = time.perf_counter()
     side = from_the_side(made, nodes, effort.depth)
     said = conclusions(tables, side)
     said += ["what decides it:", *cooler_exhaust(made["plain"], nodes, side["plain"].skin)]
@@ -388,7 +388,7 @@ def main(argv: list[str]) -> None:
         "conditions": dataclasses.asdict(given) | {"exhaust_speed_m_s": exhaust(given)[1], "mesh": chosen.mesh},
         "effort": dataclasses.asdict(effort) | {"nodes": nodes.count},
         "versions": {"jaxir": version("jaxir"), "jax": jax.__version__, "python": platform.python_version()},
-        "seconds": {"images": after_images - began, "signatures": after_views - after_images},
+        "seconds": {"signatures": after_views - began, "images": after_images - after_views},
         "largest relative standard error of an intensity": worst,
         "share of the intensity beyond the last order, at most": {
             " ".join(key): float(np.max(np.asarray(table.missing))) for key, table in tables.items()
