@@ -6,7 +6,7 @@ import pytest
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.geometry.camera import fitted_camera
+from jaxir.geometry.camera import fitted_camera, view_frame
 from jaxir.geometry.grading import Brightness, graded_camera
 from tests.scenes import box_mesh
 
@@ -46,6 +46,19 @@ def test_the_image_is_rolled_along_a_bright_bar():
     assert abs(frame[0] @ along) == pytest.approx(1, abs=1e-5)
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-6)
     assert np.linalg.det(frame) == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("height", [4.0, 1.3])
+def test_an_upright_plate_of_two_triangles_stays_upright(height):
+    """Their middles lie on a diagonal, what they cover does not."""
+    square = np.array([[0, -2, -1], [0, 2, -1], [0, 2, 1], [0, -2, 1]]) * [1, 1, height / 2]
+    corners = as_float(square[np.array([[0, 1, 2], [0, 2, 3]])])
+    nothing = _balls(np.zeros((1, 3)), 0.1, 0.0)
+    bright = Brightness(corners, jnp.ones(2, corners.dtype), nothing.ends, nothing.radius, nothing.intensity)
+    camera = graded_camera(0.0, 0.0, as_float(square), bright, (16, 16))
+    np.testing.assert_allclose(camera.frame, view_frame(0.0, 0.0), atol=1e-6)
+    even = fitted_camera(0.0, 0.0, as_float(square), (16, 16))
+    np.testing.assert_allclose(camera.pixel_area(), even.pixel_area(), rtol=0.02)
 
 
 @pytest.mark.parametrize("gridded", [False, True])

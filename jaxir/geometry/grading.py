@@ -20,6 +20,7 @@ from jaxir._arrays import as_float
 from jaxir.geometry.camera import Camera, Grading, camera_around, view_frame
 
 BINS = 512  # in which brightness is collected along an axis of the image
+STANDS_OUT = 0.02  # difference of variances along two axes, over their sum, from which one of them stands out
 EVEN = 0.5  # share of the density that is even over the image
 
 
@@ -52,16 +53,11 @@ def graded_camera(
     """A camera as `fitted_camera`, rolled and graded for the brightness of what it sees; without derivatives."""
     extent, brightness = lax.stop_gradient((extent, brightness))
     frame = view_frame(azimuth, elevation)
-    _, _, middle, weight = _seen(camera_around(frame, extent, shape, distance), brightness)
-    total = jnp.sum(weight)
-    share = weight / jnp.where(total > 0, total, 1)
-    offset = middle - jnp.sum(share[:, None] * middle, axis=0)[None]
-    uu, vv, uv = (jnp.sum(share * offset[:, i] * offset[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
-    roll = jnp.arctan2(2 * uv, uu - vv) / 2
+    roll = _roll(camera_around(frame, extent, shape, distance), brightness)
     u, v, w = frame
     rolled = jnp.stack([jnp.cos(roll) * u + jnp.sin(roll) * v, jnp.cos(roll) * v - jnp.sin(roll) * u, w])
     camera = camera_around(rolled, extent, shape, distance)
-    low, high, _, weight = _seen(camera, brightness)
+    low, high, weight = _seen(camera, brightness)
     rows, columns = camera.shape
     size = camera.pixel * as_float(np.array([columns, rows]))
     # Rows are counted downwards.
@@ -70,15 +66,36 @@ def graded_camera(
     return eqx.tree_at(lambda c: c.grading, camera, Grading(across, down), is_leaf=lambda x: x is None)
 
 
-def _seen(camera: Camera, brightness: Brightness) -> tuple[Array, Array, Array, Array]:
-    """Lower and upper corner of the outline of every part [part, 2], its middle, and its intensity [part]."""
+def _roll(camera: Camera, brightness: Brightness) -> Float[Array, ""]:
+    """Angle from the image's u to the axis along which brightness is spread most; 0 where no axis stands out.
+
+    A simplex of k corners about its centre c has the second moment (sum of corner corner' + k^2 c c') / (k (k + 1)).
+    """
+    weight = _seen(camera, brightness)[2]
+    total = jnp.sum(weight)
+    share = weight / jnp.where(total > 0, total, 1)
+    middles, seconds = [], []
+    for corners in (camera.project(brightness.corners), camera.project(brightness.ends)):
+        count, middle = corners.shape[1], corners.mean(axis=1)
+        square = jnp.einsum("nki,nkj->nij", corners, corners)
+        around = count**2 * middle[:, :, None] * middle[:, None, :]
+        seconds.append((square + around) / (count * (count + 1)))
+        middles.append(middle)
+    mean = share @ jnp.concatenate(middles)
+    spread = jnp.einsum("n,nij->ij", share, jnp.concatenate(seconds)) - mean[:, None] * mean[None, :]
+    difference, twice = spread[0, 0] - spread[1, 1], 2 * spread[0, 1]
+    stands_out = jnp.hypot(difference, twice) > STANDS_OUT * (spread[0, 0] + spread[1, 1])
+    return jnp.where(stands_out, jnp.arctan2(twice, difference) / 2, 0)
+
+
+def _seen(camera: Camera, brightness: Brightness) -> tuple[Array, Array, Array]:
+    """Lower and upper corner of the outline of every part [part, 2], and its intensity [part]."""
     corners, ends = camera.project(brightness.corners), camera.project(brightness.ends)
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = jnp.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
     low = jnp.concatenate([corners.min(axis=1), ends.min(axis=1) - brightness.radius[:, None]])
     high = jnp.concatenate([corners.max(axis=1), ends.max(axis=1) + brightness.radius[:, None]])
-    middle = jnp.concatenate([corners.mean(axis=1), ends.mean(axis=1)])
-    return low, high, middle, jnp.concatenate([brightness.radiance * area, brightness.intensity])
+    return low, high, jnp.concatenate([brightness.radiance * area, brightness.intensity])
 
 
 def _edges(low: Array, high: Array, weight: Array, count: int) -> Float[Array, " edge"]:
