@@ -33,6 +33,7 @@ from studies.charts import radiance_panels
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
+from matplotlib.ticker import NullFormatter  # noqa: E402
 
 Scenes = dict[str, jaxir.Scene]
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
@@ -232,6 +233,7 @@ def intensities_around(path: Path, tables: Tables, step: float) -> None:
                     closed = np.append(value[:, column], value[0, column])
                     panel.plot(turn, closed, style, color=f"C{column}", label=f"{band.name}, {name}")
             panel.set_rscale("log")
+            panel.yaxis.set_minor_formatter(NullFormatter())  # labels of less than decades lie over one another
             panel.set_title(f"from the {place}, {axis} [W/sr]")
     panels[0, 0].legend(loc="lower left", bbox_to_anchor=(-0.35, -0.15), fontsize="small")
     figure.savefig(path, dpi=110)
