@@ -203,7 +203,7 @@ def images(made: Scenes, nodes: jaxir.Nodes, effort: Effort) -> dict[str, jaxir.
         azimuth, elevation = (120.0, -60.0) if place == "ground" else (90.0, 0.0)
         pixel = resolution * 500 / effort.pixels
         camera = jaxir.perspective_camera(
-            azimuth, elevation, distance, pixel, (effort.pixels // 2, effort.pixels), target=(-4.0, 0.0, 0.0)
+            azimuth, elevation, distance, pixel, (effort.pixels, effort.pixels), target=(-4.0, 0.0, 0.0)
         )
         for name, scene in made.items():
             seen = eqx.tree_at(lambda s: s.atmosphere, scene, path_of(place), is_leaf=lambda x: x is None)
