@@ -20,4 +20,4 @@ def out_folder(study: str) -> Path:
 
 def radiance_panels(path: Path, images: Mapping[str, Image]) -> None:
     """Write `jaxir.plot.radiance_panels` to a file."""
-    plot.radiance_panels(images).savefig(path, dpi=110)
+    plot.radiance_panels(images).savefig(path, dpi=110, bbox_inches="tight")
