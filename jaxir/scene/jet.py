@@ -112,6 +112,11 @@ class JetPlume(eqx.Module):
         """Distance from the nozzle to the jet's end [m]."""
         return self.length * self.diameter
 
+    def stations(self, share: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """Distances from the nozzle [*batch] [m] at shares [*batch] of the jet's length, even in ln(z + d / 2)."""
+        lip = self.diameter / 2
+        return lip * jnp.expm1(share * jnp.log1p(self.end / lip))
+
     def fraction(self, along: Float[Array, "*batch"], across_squared: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Exhaust fraction f at distances z downstream [*batch] [m] and r^2 from the axis [*batch] [m2]."""
         inside = (along > 0) & (along <= self.end)

@@ -20,6 +20,7 @@ from jaxir._arrays import as_float
 from jaxir.geometry.camera import Camera
 from jaxir.geometry.grading import Brightness, graded_camera
 from jaxir.geometry.mesh import face_normal
+from jaxir.optics.layer import phi1
 from jaxir.transport.jet import JetMedium
 from jaxir.transport.medium import GridMedium
 from jaxir.transport.radiometry import Radiometry
@@ -85,7 +86,7 @@ def _of_grid(medium: GridMedium) -> tuple[Array, Array, Array]:
     """Blocks of cells as balls: ends, radius, and intensity [block, node]."""
     grid, shape = medium.grid, medium.grid.shape
     size = grid.spacing * as_float(np.array(shape))
-    emitted = _escaping(medium.extinction, medium.emission, jnp.min(size)) * jnp.prod(grid.spacing)
+    emitted = medium.emission * phi1(medium.extinction * jnp.min(size)) * jnp.prod(grid.spacing)
     step = tuple(-(-count // BLOCKS) for count in shape)
     blocks = tuple(-(-count // each) for count, each in zip(shape, step, strict=True))
     pads = [(0, b * s - n) for b, s, n in zip(blocks, step, shape, strict=True)]
@@ -102,8 +103,7 @@ def _of_jet(medium: JetMedium) -> tuple[Array, Array, Array]:
     """Rings about pieces of the axis as capsules: ends, radius, and intensity [piece * ring, node]."""
     jet = medium.jet
     radius = jet.diameter / 2
-    grown = as_float(np.linspace(0, 1, STATIONS + 1))
-    z = radius * jnp.expm1(grown * jnp.log1p(jet.end / radius))
+    z = jet.stations(as_float(np.linspace(0, 1, STATIONS + 1)))
     low, high = z[:-1], z[1:]
     middle = (low + high) / 2
     edge = radius + jet.spreading * middle
@@ -112,16 +112,11 @@ def _of_jet(medium: JetMedium) -> tuple[Array, Array, Array]:
     volume = np.pi * (outer**2 - inner**2) * (high - low)[:, None]
     fraction = jet.fraction(jnp.broadcast_to(middle[:, None], outer.shape), ((inner + outer) / 2) ** 2)
     knot = jnp.round(fraction * (medium.extinction.shape[0] - 1)).astype(jnp.int32)
-    emitted = _escaping(medium.extinction[knot], medium.emission[knot], edge[:, None, None]) * volume[..., None]
+    escaping = phi1(medium.extinction[knot] * edge[:, None, None])
+    emitted = medium.emission[knot] * escaping * volume[..., None]
     ends = jet.nozzle[None, None] + jnp.stack([low, high], axis=1)[:, :, None] * jet.direction[None, None]
     return (
         jnp.repeat(ends, RINGS, axis=0),
-        jnp.maximum(outer, 0).reshape(-1),
+        outer.reshape(-1),
         emitted.reshape(STATIONS * RINGS, -1),
     )
-
-
-def _escaping(extinction: Array, emission: Array, depth: Array) -> Array:
-    """Emission times the mean of exp(-extinction x) over a layer of the given depth."""
-    thick = extinction * depth
-    return emission * jnp.where(thick > 1e-4, -jnp.expm1(-thick) / jnp.where(thick > 1e-4, thick, 1), 1)

@@ -269,7 +269,7 @@ def _sampled(medium: JetMedium) -> tuple[Array, Array]:
     u = as_float(np.modf(ray * np.array([[0.8191725134, 0.6710436067, 0.5497004779]]))[0])
     frame = frame_around(jet.direction)
     lip = jet.diameter / 2
-    z = lip * jnp.expm1(u[:, 0] * jnp.log1p(jet.end / lip))
+    z = jet.stations(u[:, 0])
     r = (lip + jet.spreading * z) * jnp.sqrt(u[:, 1])
     turn = 2 * jnp.pi * u[:, 2]
     point = jnp.stack([r * jnp.cos(turn), r * jnp.sin(turn), z], axis=-1) @ frame + jet.nozzle[None, :]

@@ -134,8 +134,7 @@ def _grid_pieces(plume: GridPlume, light: PlumeLight) -> PlumePieces:
 def _jet_pieces(jet: JetPlume, light: PlumeLight) -> PlumePieces:
     """Slabs along the axis, each of boxes within one another whose densities add up to the exhaust's emission."""
     lip = jet.diameter / 2
-    share = as_float(np.arange(2 * SLABS + 1) / (2 * SLABS))
-    z = lip * jnp.expm1(share * jnp.log1p(jet.end / lip))  # slabs as long as they are wide, about
+    z = jet.stations(as_float(np.arange(2 * SLABS + 1) / (2 * SLABS)))  # slabs as long as they are wide, about
     begin, middle, end = z[:-1:2], z[1::2], z[2::2]
     level = as_float((np.arange(LEVELS) + 0.5) / LEVELS)
     r = level[None] * (lip + jet.spreading * middle)[:, None]
