@@ -168,24 +168,30 @@ class Tile(NamedTuple):
 
 def _project_boxes(table: Array, travel: Array, shift: Array, inverse_range: Array | None) -> Array:
     """Screen rectangles and nearest depths of boxes [node, 6 * 16] of the tree [node, 5 * 16]; conservative."""
-    box = table.reshape(-1, 2, 3, WIDTH)
-    empty = box[:, 0, :1] >= FAR
-    low, high = (jnp.where(empty, 0, box[:, k]) for k in range(2))
+    # one coordinate at a time, in rows of 16: XLA's CPU loops over short axes are slow
+    low, high = ([table[:, k * WIDTH : (k + 1) * WIDTH] for k in axes] for axes in ((0, 1, 2), (3, 4, 5)))
+    empty = low[0] >= FAR
     eps = jnp.finfo(table.dtype).eps
-    middle = jnp.sum(travel[None, :, :, None] * ((low + high) / 2)[:, None], axis=2) + shift[None, :, None]
-    reach = jnp.sum(jnp.abs(travel)[None, :, :, None] * ((high - low) / 2)[:, None], axis=2)
-    reach = reach * (1 + 8 * eps) + 8 * eps * (jnp.abs(middle) + jnp.max(jnp.abs(shift)))
-    low, high = middle - reach, middle + reach
+    stray = 8 * eps * jnp.max(jnp.abs(shift))
+    sides = []
+    for k in range(3):
+        turned = [travel[k, j] * jnp.where(empty, 0, (low[j] + high[j]) / 2) for j in range(3)]
+        middle = turned[0] + turned[1] + turned[2] + shift[k]
+        half = [jnp.abs(travel[k, j]) * jnp.where(empty, 0, (high[j] - low[j]) / 2) for j in range(3)]
+        reach = (half[0] + half[1] + half[2]) * (1 + 8 * eps) + (8 * eps * jnp.abs(middle) + stray)
+        sides.append((middle - reach, middle + reach))
+    (x0, x1), (y0, y1), (near, far) = sides
     if inverse_range is not None:
-        far, near = (1 / (1 + depth[:, 2:] * inverse_range) for depth in (high, low))
-        x_y = slice(0, 2)
-        flat = jnp.minimum(low[:, x_y] * near, low[:, x_y] * far), jnp.maximum(high[:, x_y] * near, high[:, x_y] * far)
-        grow = 4 * eps * (jnp.abs(flat[0]) + jnp.abs(flat[1]))
-        depth = low[:, 2:] * near
-        low = jnp.concatenate([flat[0] - grow, depth - 4 * eps * jnp.abs(depth)], axis=1)
-        high = flat[1] + grow
-    rows = [low[:, 0], high[:, 0], low[:, 1], high[:, 1], low[:, 2]]
-    return jnp.concatenate([jnp.where(empty[:, 0], FAR, lane) for lane in rows], axis=1)
+        least, most = 1 / (1 + far * inverse_range), 1 / (1 + near * inverse_range)
+
+        def seen(low: Array, high: Array) -> tuple[Array, Array]:
+            low, high = jnp.minimum(low * least, low * most), jnp.maximum(high * least, high * most)
+            grow = 4 * eps * (jnp.abs(low) + jnp.abs(high))
+            return low - grow, high + grow
+
+        (x0, x1), (y0, y1), near = seen(x0, x1), seen(y0, y1), near * most
+        near = near - 4 * eps * jnp.abs(near)
+    return jnp.concatenate([jnp.where(empty, FAR, lane) for lane in (x0, x1, y0, y1, near)], axis=1)
 
 
 def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:

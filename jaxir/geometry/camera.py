@@ -95,6 +95,19 @@ class Camera(eqx.Module):
         """The rays through screen points, starting on the plane `start` [m] in front of the target."""
         return Bundle(self.target, self.frame, self.inverse_range, start, screen)
 
+    def clear(self, front: Float[Array, ""], radius: Float[Array, ""]) -> Float[Array, ""]:
+        """Height above the target plane at which rays start in front of a body [m].
+
+        Args:
+            front: height that the body does not exceed, by boxes around its parts [m].
+            radius: of a sphere about the target that holds it and not the eye [m].
+
+        Returns:
+            A thousandth of the radius above `front`; the radius where that is not before the eye.
+        """
+        clear = front + 1e-3 * radius
+        return jnp.where(clear * self.inverse_range < 1, clear, radius)
+
     def untile(self, value: Shaped[Array, "tile pixel *field"]) -> Shaped[Array, "row column *field"]:
         """An image [row, column, ...] from values per tile and pixel, tiles row by row."""
         rows, columns = self.tiles

@@ -14,6 +14,7 @@ from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._arrays import Check, as_float, enforce, finite
+from jaxir._vector import dot
 from jaxir.geometry.bundle_search import View, project, search_bundle
 from jaxir.geometry.ray import Bundle, Rays
 from jaxir.geometry.single_search import Query, search_single
@@ -85,6 +86,15 @@ class Mesh(eqx.Module):
         """Half the cross product of two edges: outward normal times area [face, 3] [m2]."""
         p = self.corners()
         return jnp.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]) / 2
+
+    def front(self, direction: Float[Array, " 3"], origin: Float[Array, " 3"]) -> Float[Array, ""]:
+        """Distance from `origin` along a unit vector that no face exceeds [m], as far as the boxes below the root tell.
+
+        A bundle that starts beyond it is searched as a bundle.
+        """
+        if self.tree is None:
+            return jnp.max((self.vertices - origin[None, :]) @ direction)
+        return self.tree.front(direction) + jnp.sum((self.tree.centre - origin) * direction)
 
     def refit(self, vertices: Any) -> Mesh:
         """The same faces about moved vertices [vertex, 3] [m]; runs under jit.
@@ -201,7 +211,7 @@ def _search_bundle(mesh: Mesh, bundle: Bundle, far: Array | None, any_hit: bool)
     @sequential_vmap
     def search(mesh: Mesh, bundle: Bundle, far: Array | None) -> Array:
         return lax.cond(
-            _before(mesh.search_tree(), bundle),
+            _before(mesh, bundle),
             lambda: search_bundle(mesh.search_tree(), bundle_view(bundle, far), side, any_hit),
             lambda: _search_single(mesh, bundle, None, far, None, any_hit=any_hit),
         )
@@ -216,7 +226,7 @@ def _query(mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array,
     if leaving is not None:
         started = leaving >= 0
         normal = face_normal(mesh, jnp.maximum(leaving, 0))
-        along = jnp.sign(jnp.sum(normal * direction, axis=-1))
+        along = jnp.sign(dot(normal, direction))
         origin = origin + jnp.where(started, off_face(tree) * along, 0)[:, None] * normal
         if mesh.closed:
             side = jnp.where(started, -along, 0)
@@ -246,8 +256,7 @@ def bundle_view(bundle: Bundle, far: Float[Array, " ray"] | None) -> View:
     return View(bundle.target, bundle.frame, bundle.inverse_range, bundle.screen, limit, None)
 
 
-def _before(tree: Tree, bundle: Bundle) -> Bool[Array, ""]:
+def _before(mesh: Mesh, bundle: Bundle) -> Bool[Array, ""]:
     """Whether the whole tree lies beyond the plane on which the bundle starts."""
-    w = bundle.frame[2]
-    front = jnp.sum(w * (tree.centre - bundle.target)) + jnp.sum(jnp.abs(w) * tree.extent)
+    front = mesh.front(bundle.frame[2], bundle.target)
     return (front < bundle.start) & (front * bundle.inverse_range < 1)

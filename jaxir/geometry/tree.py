@@ -52,6 +52,14 @@ class Tree(eqx.Module):
         """Places in a leaf."""
         return self.face.shape[1]
 
+    def front(self, direction: Float[Array, " 3"]) -> Float[Array, ""]:
+        """How far the boxes below the root reach along a unit vector, measured from `centre` [m]; -inf without them."""
+        if not self.boxes:
+            return jnp.asarray(-jnp.inf, direction.dtype)
+        low, high = self.boxes[0][0].reshape(2, 3, WIDTH)
+        reach = direction @ (low + high) / 2 + jnp.abs(direction) @ (high - low) / 2
+        return jnp.max(jnp.where(low[0] < FAR / 2, reach, -jnp.inf))
+
     def refit(self, vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Tree:
         """The same tree about moved vertices; runs under jit. The order of faces stays, so large motions cost speed."""
         return Tree(self.face, self.slot, self.children, *_tables(jnp, vertices, faces, self.face, self.children))

@@ -29,7 +29,7 @@ class Hit(eqx.Module):
     normal: Float[Array, "ray 3"]
 
 
-_BLOCK = 256  # rays whose intermediate values stay in the processor's cache
+_BLOCK = 1024  # rays whose intermediate values stay in the processor's cache; a block of misses costs nothing
 
 
 @jax.custom_jvp
@@ -77,7 +77,17 @@ def _by_blocks(vertices: Array, faces: Array, face: Array, origin: Array, direct
         jnp.pad(x, ((0, -count % size), *[(0, 0)] * (x.ndim - 1))).reshape(-1, size, *x.shape[1:])
         for x in (face, origin, direction)
     ]
-    out = lax.map(lambda block: _at_once(vertices, faces, *block), rays)
+
+    def one(block: list[Array]) -> tuple[Array, ...]:
+        face, origin, direction = block
+
+        def missed() -> tuple[Array, ...]:
+            hit = no_hit(origin)
+            return hit.t, hit.barycentric, hit.point, hit.normal
+
+        return lax.cond(jnp.any(face >= 0), lambda: _at_once(vertices, faces, face, origin, direction), missed)
+
+    out = lax.map(one, rays)
     return tuple(x.reshape(-1, *x.shape[2:])[:count] for x in out)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -27,6 +28,7 @@ from jaxir.transport.scattering import Scattering, scattering_of
 TILES_AT_ONCE = 64  # 16384 rays: bounds memory whatever the image
 PARTS = 8  # chunks of a small image, for so many devices to share
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
+STRATA_AT_ONCE = 8  # of a pixel, whose rays are traced side by side: bundles then cover fewer pixels and faces
 
 
 class Method(eqx.Module):
@@ -92,10 +94,29 @@ class Pass(NamedTuple):
     parts: int = PARTS
 
     @property
+    def strata_at_once(self) -> int:
+        """Strata of every pixel that are traced together: a power of two that divides their number."""
+        count, most = self.strata[0] * self.strata[1], min(STRATA_AT_ONCE, max(self._at_once // 2, 1))
+        return math.gcd(count, 1 << (most.bit_length() - 1))
+
+    @property
+    def tiles_at_once(self) -> int:
+        """Tiles that are traced together, so that rays are at most those of `TILES_AT_ONCE` tiles."""
+        return min(max(self._at_once // (2 * self.strata_at_once), 1), self._share)
+
+    @property
     def size(self) -> int:
         """Tiles of a chunk: fewer where a ray carries many samples, and in images of less than `parts` full chunks."""
+        return self.tiles_at_once * -(-self._share // self.tiles_at_once)
+
+    @property
+    def _at_once(self) -> int:
         each = -(-self.method.samples(self.optical.scene) // SAMPLES_AT_ONCE)
-        return min(max(TILES_AT_ONCE // each, 1), -(-self.tiles // self.parts))
+        return max(TILES_AT_ONCE // each, 1)
+
+    @property
+    def _share(self) -> int:
+        return min(self._at_once, -(-self.tiles // self.parts))
 
     @property
     def tiles(self) -> int:
@@ -151,45 +172,53 @@ def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Flo
 @eqx.filter_jit
 def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles."""
-    optical, camera, key, strata, method, _ = taken
-    tile, start = taken.tile(chunk), optical.scene.radius(camera.target)
-    size = tile.shape[0]
-    background = optical.scene.background
-    uniform = background is None or isinstance(background, AbstractUniformBackground)
+    own, tile = jax.random.fold_in(taken.key, chunk), taken.tile(chunk).reshape(-1, taken.tiles_at_once)
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(own, jnp.arange(tile.shape[0], dtype=jnp.uint32))
+    every = lax.map(lambda some: _estimate(taken, *some), (tile, keys))
+    mean, variance = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:])), every)
+    empty = mean.empty
+    if empty is None:
+        empty = taken.optical.nodes.in_band(empty_radiance(taken.optical, taken.camera.frame[:1, None]))
+    return Estimate(mean.radiance, variance, empty, mean.orders)
 
-    def sample(drawn: tuple[Array, Array]) -> _Seen:
-        screen = camera.screen(tile, drawn[0]).reshape(-1, 2)
-        paths = trace(optical.scene, camera.bundle(screen, start), method.reflection, drawn[1], method.scattering)
+
+def _estimate(taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""]) -> tuple[_Seen, Array]:
+    """What the pixels of some tiles see, and the variance of their radiance."""
+    optical, camera, _, strata, method, _ = taken
+    start, background = optical.scene.start(camera), optical.scene.background
+    uniform = background is None or isinstance(background, AbstractUniformBackground)
+    size, some = tile.shape[0], taken.strata_at_once
+
+    def group(carry: tuple[_Seen, Array], first: Array) -> tuple[tuple[_Seen, Array], None]:
+        index = first + jnp.arange(some, dtype=jnp.int32)
+        offset = jax.vmap(lambda i: stratum_points(own, i, size, strata))(index)
+        screen = jax.vmap(jax.vmap(lambda o: camera.screen(tile, o)))(offset)
+        screen = screen.transpose(2, 3, 0, 1, 4).reshape(-1, 2)  # the rays of a pixel side by side
+        anew = jax.random.fold_in(jax.random.fold_in(own, first), 1)
+        paths = trace(optical.scene, camera.bundle(screen, start), method.reflection, anew, method.scattering)
         orders = None
         if paths.scatter is not None and isinstance(method.path, CellSum):
             parts = evaluate_orders(optical, paths, method.reflection)
             radiance, orders = parts.radiance, jnp.stack([parts.last, parts.before], axis=1)
         else:
-            along = None if isinstance(method.path, CellSum) else jax.random.fold_in(drawn[1], 1)
+            along = None if isinstance(method.path, CellSum) else jax.random.fold_in(anew, 1)
             radiance = evaluate(optical, paths, method.reflection, method.path, along)
         empty = None if uniform else empty_radiance(optical, paths.rays.direction)
-        return jax.tree.map(
-            lambda value: optical.nodes.in_band(value).reshape((size, TILE * TILE, *value.shape[1:-1], -1)),
+        seen = jax.tree.map(
+            lambda value: optical.nodes.in_band(value).reshape((size, TILE * TILE, some, 2, *value.shape[1:-1], -1)),
             _Seen(radiance, empty, orders),
         )
-
-    def stratum(carry: tuple[_Seen, Array], index: Array) -> tuple[tuple[_Seen, Array], None]:
-        own = jax.random.fold_in(key, chunk)
-        offset = stratum_points(own, index, size, strata)
-        anew = jax.random.fold_in(jax.random.fold_in(own, index), 1)
-        pair = lax.map(sample, (offset, jax.random.split(anew, 2)))
+        mean = jax.tree.map(lambda value: jnp.sum((value[:, :, :, 0] + value[:, :, :, 1]) / 2, axis=2), seen)
+        apart = seen.radiance[:, :, :, 0] - seen.radiance[:, :, :, 1]
         total, square = carry
-        total = jax.tree.map(lambda sum, two: sum + (two[0] + two[1]) / 2, total, pair)
-        return (total, square + (pair.radiance[0] - pair.radiance[1]) ** 2 / 4), None
+        return (jax.tree.map(jnp.add, total, mean), square + jnp.sum(apart**2, axis=2) / 4), None
 
     count, bands = strata[0] * strata[1], optical.nodes.response.shape[0]
     zero = jnp.zeros((size, TILE * TILE, bands), start.dtype)
     orders = None if method.scattering is None else jnp.zeros((size, TILE * TILE, 2, bands), start.dtype)
     dark = _Seen(zero, None if uniform else zero, orders)
-    (total, square), _ = lax.scan(stratum, (dark, zero), jnp.arange(count, dtype=jnp.int32))
-    mean = jax.tree.map(lambda sum: sum / count, total)
-    empty = optical.nodes.in_band(empty_radiance(optical, camera.frame[:1, None])) if uniform else mean.empty
-    return Estimate(mean.radiance, square / count**2, empty, mean.orders)
+    (total, square), _ = lax.scan(group, (dark, zero), jnp.arange(0, count, some, dtype=jnp.int32))
+    return jax.tree.map(lambda sum: sum / count, total), square / count**2
 
 
 class _Seen(NamedTuple):

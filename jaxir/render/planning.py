@@ -266,7 +266,7 @@ def _depth(optical: Radiometry, camera: Camera) -> Array:
     size = np.asarray(camera.pixel) * np.array(camera.shape[::-1])
     x, y = np.meshgrid(place * size[0], place * size[1])
     screen = jnp.asarray(np.stack([x.ravel(), y.ravel()], axis=1), camera.pixel.dtype)
-    rays = camera.bundle(screen, optical.scene.radius(camera.target)).rays()
+    rays = camera.bundle(screen, optical.scene.start(camera)).rays()
     passed = optical.medium.transmittance(rays, jnp.full(rays.count, jnp.inf, screen.dtype))
     return -jnp.log(jnp.maximum(jnp.min(passed), jnp.finfo(passed.dtype).tiny))
 

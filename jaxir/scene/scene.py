@@ -8,6 +8,8 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check
+from jaxir._vector import radius_about
+from jaxir.geometry.camera import Camera
 from jaxir.scene.atmosphere import AbstractAtmosphere
 from jaxir.scene.background import AbstractBackground
 from jaxir.scene.jet import JetPlume
@@ -68,8 +70,18 @@ class Scene(eqx.Module):
 
     def radius(self, centre: Float[Array, " 3"]) -> Float[Array, ""]:
         """Radius about `centre` of a sphere that holds skin and plume, plus .1 % [m]; without derivative."""
-        offset = self.extent() - centre[None, :]
-        return lax.stop_gradient(jnp.sqrt(jnp.max(jnp.sum(offset * offset, axis=-1))) * 1.001)
+        return lax.stop_gradient(radius_about(self.extent(), centre) * 1.001)
+
+    def start(self, camera: Camera) -> Float[Array, ""]:
+        """Height above a camera's target plane at which its rays start, before skin and plume [m]; no derivative.
+
+        Beyond the boxes in which the mesh is searched, so that rays are searched together, see `closest_hit`.
+        """
+        toward = camera.frame[2]
+        fronts = [] if self.skin is None else [self.skin.mesh.front(toward, camera.target)]
+        if self.plume is not None:
+            fronts.append(jnp.max((self.plume.extent() - camera.target[None, :]) @ toward))
+        return lax.stop_gradient(camera.clear(jnp.max(jnp.stack(fronts)), self.radius(camera.target)))
 
     def checks(self) -> list[Check]:
         """The checks of every part present."""

@@ -215,7 +215,7 @@ def _drawn_share(scene: Scene, reflection: Reflection, vertex: Vertex, omega: Ar
         brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
         rival = jax.vmap(lambda b, w, o, n: jax.vmap(lambda w: b.pdf(w, o, n))(w), in_axes=(0, 1, 0, 0), out_axes=1)
         weight = mis_weight(count, pdf, own, rival(brdf, omega, vertex.omega_o, vertex.normal))
-    good = (vertex.face >= 0)[None] & (pdf > 0) & (jnp.sum(omega * vertex.normal[None], axis=-1) > 0)
+    good = (vertex.face >= 0)[None] & (pdf > 0) & (dot(omega, vertex.normal[None]) > 0)
     return good, _share(good, weight, count, pdf)
 
 
@@ -269,7 +269,7 @@ def _look_for_faces(
         draw = partial(draw_points, mesh, odds, reflection.sampler, count=count)
         face, target = jax.vmap(draw, out_axes=1)(keys)
         offset = target - vertex.point[None]
-        distance = jnp.sqrt(jnp.sum(offset * offset, axis=-1))
+        distance = jnp.sqrt(dot(offset, offset))
         omega = offset / jnp.where(distance > 0, distance, 1)[..., None]
         good, factor = _drawn_share(scene, reflection, vertex, omega, density(face, omega, distance))
         first, _ = _first_met(scene, vertex, omega, good, hollow)
@@ -288,7 +288,7 @@ def _hollow(mesh: Mesh, vertex: Vertex) -> Bool[Array, ""]:
     if mesh.tree is not None:
         return jnp.asarray(True)
     outward = face_normal(mesh, jnp.maximum(vertex.face, 0))
-    inside = (vertex.face >= 0) & (jnp.sum(vertex.normal * outward, axis=-1) < 0) & mesh.closed
+    inside = (vertex.face >= 0) & (dot(vertex.normal, outward) < 0) & mesh.closed
     return jnp.any(jnp.greater(*concavity(mesh))) | jnp.any(inside)
 
 

@@ -27,7 +27,7 @@ def leaving(
 
     The first term is left out where it was found as a light already.
     """
-    radiance = _emitted(optical, vertex.face, jnp.sum(vertex.normal * vertex.omega_o, axis=-1))
+    radiance = _emitted(optical, vertex.face, dot(vertex.normal, vertex.omega_o))
     if vertex.glows is not None:
         radiance = jnp.where(vertex.glows[:, None], radiance, 0)
     if vertex.lit is not None:
@@ -49,7 +49,7 @@ def leaving(
         assert optical.scene.skin is not None
         seen = around.faces
         normal = face_normal(optical.scene.skin.mesh, jnp.maximum(seen.face, 0).reshape(-1)).reshape(seen.omega.shape)
-        arriving = jax.vmap(partial(_emitted, optical))(seen.face, jnp.abs(jnp.sum(normal * seen.omega, axis=-1)))
+        arriving = jax.vmap(partial(_emitted, optical))(seen.face, jnp.abs(dot(normal, seen.omega)))
         radiance = radiance + _found(optical, vertex, seen.omega, seen.distance, seen.factor, arriving)
     if around.plume is not None:
         drawn = around.plume
@@ -95,6 +95,6 @@ def beyond(optical: Radiometry, vertex: Vertex, reflection: Reflection | None) -
         return 0.0
     assert optical.scene.skin is not None
     brdf = optical.scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
-    cos_o = jnp.sum(vertex.normal * vertex.omega_o, axis=-1)
+    cos_o = dot(vertex.normal, vertex.omega_o)
     ambient = per_node("AmbientTerm.radiance", reflection.beyond.radiance, optical.nodes)
     return jax.vmap(lambda b, c: b.reflectance(c))(brdf, cos_o) * ambient[None, :]

@@ -59,7 +59,7 @@ def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection |
         brought = _unscattered(optical, leg, reflection, _at_end(optical, leg, reflection, place))
         for source, irradiance in zip(cell_lights(optical.scene), optical.irradiance, strict=True):
             assert isinstance(medium, GridMedium)
-            cosine = jnp.sum(leg.rays.direction * -source.direction[None], axis=-1)
+            cosine = dot(leg.rays.direction, -source.direction[None])
             brought = brought + medium.in_scattered(irradiance, cosine, leg.rays, leg.length)
         return brought
 
@@ -73,7 +73,7 @@ def scatter_sum(optical: Radiometry, path: ScatterPath, reflection: Reflection |
         event = jnp.where(scattered[:, None], medium.scattering_at(point) * passed * leg.place.factor[:, None], 0)
         if leg.beams is not None:
             brought = brought + event * _arriving(optical, leg, point)
-        cosine = jnp.sum(leg.rays.direction * leg.omega, axis=-1)
+        cosine = dot(leg.rays.direction, leg.omega)
         onward = event * jax.vmap(phase.eval)(cosine) * leg.factor[:, None]
         if leg.vertex is not None and reflection is not None and reflection.bounces:
             bounced = passed * reflected(optical, leg.vertex, leg.omega, jnp.where(scattered, 0, leg.factor))

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxir._vector import dot
 from jaxir.geometry.mesh import any_hit
 from jaxir.geometry.ray import Rays
 from jaxir.geometry.shadow import occluded, occluded_from
@@ -18,15 +19,15 @@ from jaxir.transport.around import Vertex
 
 def normal_towards(omega: Array, hit: Hit) -> Array:
     """Normals on the side of `omega`; `omega` itself on a miss."""
-    away = jnp.sum(hit.normal * omega, axis=-1, keepdims=True) < 0
-    return jnp.where((hit.face >= 0)[:, None], jnp.where(away, -hit.normal, hit.normal), omega)
+    side = jnp.where(dot(hit.normal, omega) < 0, -1, 1).astype(omega.dtype)
+    return jnp.where((hit.face >= 0)[:, None], side[:, None] * hit.normal, omega)
 
 
 def lit_from(scene: Scene, hit: Hit, normal: Array, source: AbstractDeltaSource) -> Array:
     """Whether each hit faces a source without extent and sees it: all points look along one bundle."""
     assert scene.skin is not None
     omega_i, distance = jax.vmap(source.toward)(hit.point)
-    facing = (hit.face >= 0) & (distance > 0) & (jnp.sum(normal * omega_i, axis=-1) > 0)
+    facing = (hit.face >= 0) & (distance > 0) & (dot(normal, omega_i) > 0)
     if isinstance(source, ParallelSource):
         return facing & ~occluded(scene.skin.mesh, hit.point, hit.face, -source.direction, facing)
     assert isinstance(source, PointSource)
@@ -37,6 +38,6 @@ def lit_alone(scene: Scene, vertex: Vertex, source: AbstractDeltaSource) -> Arra
     """The same for points that are no neighbours."""
     assert scene.skin is not None
     omega_i, distance = jax.vmap(source.toward)(vertex.point)
-    facing = (vertex.face >= 0) & (distance > 0) & (jnp.sum(vertex.normal * omega_i, axis=-1) > 0)
+    facing = (vertex.face >= 0) & (distance > 0) & (dot(vertex.normal, omega_i) > 0)
     reach = jnp.where(facing, distance, 0)
     return facing & ~any_hit(scene.skin.mesh, Rays(vertex.point, omega_i), t_max=reach, leaving=vertex.face)
