@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -12,6 +13,7 @@ def dot(a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]) -> Float[Arr
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
+@jax.jit
 def radius_about(points: Float[Array, "point 3"], centre: Float[Array, " 3"]) -> Float[Array, ""]:
     """Largest distance of points from a centre."""
     offset = points - centre[None, :]

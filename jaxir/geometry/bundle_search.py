@@ -127,18 +127,23 @@ def dual(frame: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     return 2 * rows - (rows @ rows.T) @ rows
 
 
+def travel_of(frame: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Rows u, v and -w of a frame: right, up, and along the rays."""
+    return jnp.concatenate([frame[:2], -frame[2:]])
+
+
 def see(
     tree: Tree, target: Float[Array, " 3"], frame: Float[Array, "3 3"], inverse_range: Float[Array, ""] | None
 ) -> SeenTree:
     """The tree seen by a projective map; arguments as in `View`."""
-    travel = jnp.concatenate([frame[:2], -frame[2:]])
+    travel = travel_of(frame)
     shift = travel @ (tree.centre - target)
     first = octant(travel[2])
     boxes, children = [], []
     for level_boxes, level_children in zip(tree.boxes, tree.children, strict=True):
         nodes = level_children.shape[0] // 8
         sorted_boxes = lax.dynamic_slice_in_dim(level_boxes, first * nodes, nodes)
-        boxes.append(_project_boxes(sorted_boxes, travel, shift, inverse_range))
+        boxes.append(project_boxes(sorted_boxes, travel, shift, inverse_range))
         children.append(lax.dynamic_slice_in_dim(level_children, first * nodes, nodes))
     grains = 1 / _grain(tree, travel, shift, inverse_range)
     return SeenTree(tuple(boxes), tuple(children), tree.leaves, travel, shift, grains, inverse_range)
@@ -166,7 +171,7 @@ class Tile(NamedTuple):
     skip: Array | None
 
 
-def _project_boxes(table: Array, travel: Array, shift: Array, inverse_range: Array | None) -> Array:
+def project_boxes(table: Array, travel: Array, shift: Array, inverse_range: Array | None) -> Array:
     """Screen rectangles and nearest depths of boxes [node, 6 * 16] of the tree [node, 5 * 16]; conservative."""
     # one coordinate at a time, in rows of 16: XLA's CPU loops over short axes are slow
     low, high = ([table[:, k * WIDTH : (k + 1) * WIDTH] for k in axes] for axes in ((0, 1, 2), (3, 4, 5)))

@@ -95,19 +95,6 @@ class Camera(eqx.Module):
         """The rays through screen points, starting on the plane `start` [m] in front of the target."""
         return Bundle(self.target, self.frame, self.inverse_range, start, screen)
 
-    def clear(self, front: Float[Array, ""], radius: Float[Array, ""]) -> Float[Array, ""]:
-        """Height above the target plane at which rays start in front of a body [m].
-
-        Args:
-            front: height that the body does not exceed, by boxes around its parts [m].
-            radius: of a sphere about the target that holds it and not the eye [m].
-
-        Returns:
-            A thousandth of the radius above `front`; the radius where that is not before the eye.
-        """
-        clear = front + 1e-3 * radius
-        return jnp.where(clear * self.inverse_range < 1, clear, radius)
-
     def untile(self, value: Shaped[Array, "tile pixel *field"]) -> Shaped[Array, "row column *field"]:
         """An image [row, column, ...] from values per tile and pixel, tiles row by row."""
         rows, columns = self.tiles
@@ -287,10 +274,15 @@ def pixel_strata(samples: int) -> tuple[int, int]:
 def stratum_points(
     key: Key[Array, ""], index: Int[Array, ""], tiles: int, strata: tuple[int, int]
 ) -> Float[Array, "2 tile pixel 2"]:
-    """The two random points of one stratum, for all pixels of some tiles, as places in [0, 1) inside the pixels."""
+    """The two random points of one stratum, for all pixels of some tiles, as places in (0, 1) inside the pixels.
+
+    One random word serves both coordinates: points lie in the middles of 65536 x 65536 cells of the stratum.
+    """
     cells = as_float(np.array(strata))
     corner = jnp.stack([index % strata[0], index // strata[0]]).astype(cells.dtype)
-    jitter = jax.random.uniform(jax.random.fold_in(key, index), (2, tiles, TILE * TILE, 2), cells.dtype)
+    word = jax.random.bits(jax.random.fold_in(key, index), (2, tiles, TILE * TILE), jnp.uint32)
+    halves = jnp.stack([word >> 16, word & 0xFFFF], axis=-1)
+    jitter = (halves.astype(cells.dtype) + 0.5) / 65536
     return (corner[None, None, None, :] + jitter) / cells[None, None, None, :]
 
 

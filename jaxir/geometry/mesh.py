@@ -16,10 +16,11 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxir._arrays import Check, as_float, enforce, finite
 from jaxir._vector import dot
 from jaxir.geometry.bundle_search import View, project, search_bundle
+from jaxir.geometry.outline import front_of, outline
 from jaxir.geometry.ray import Bundle, Rays
 from jaxir.geometry.single_search import Query, search_single
 from jaxir.geometry.topology import is_closed
-from jaxir.geometry.tree import Tree, build, single_leaf
+from jaxir.geometry.tree import WIDTH, Tree, build, single_leaf
 from jaxir.geometry.triangle import Hit, corners_of, reattach, unit_normal
 
 HANDFUL = 32  # faces up to which a mesh has no tree and every ray tests every face
@@ -87,14 +88,12 @@ class Mesh(eqx.Module):
         p = self.corners()
         return jnp.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]) / 2
 
-    def front(self, direction: Float[Array, " 3"], origin: Float[Array, " 3"]) -> Float[Array, ""]:
-        """Distance from `origin` along a unit vector that no face exceeds [m], as far as the boxes below the root tell.
-
-        A bundle that starts beyond it is searched as a bundle.
-        """
-        if self.tree is None:
-            return jnp.max((self.vertices - origin[None, :]) @ direction)
-        return self.tree.front(direction) + jnp.sum((self.tree.centre - origin) * direction)
+    def outline(self, most: int) -> Float[Array, "row 96"]:
+        """Boxes that hold the mesh, see `jaxir.geometry.outline`: at most `most`, but the 16 below the tree's root."""
+        if self.tree is not None:
+            return self.tree.outline(most)
+        corners = self.corners()
+        return outline(corners.min(axis=1), corners.max(axis=1))
 
     def refit(self, vertices: Any) -> Mesh:
         """The same faces about moved vertices [vertex, 3] [m]; runs under jit.
@@ -258,5 +257,5 @@ def bundle_view(bundle: Bundle, far: Float[Array, " ray"] | None) -> View:
 
 def _before(mesh: Mesh, bundle: Bundle) -> Bool[Array, ""]:
     """Whether the whole tree lies beyond the plane on which the bundle starts."""
-    front = mesh.front(bundle.frame[2], bundle.target)
+    front = front_of(mesh.outline(WIDTH), bundle.frame[2], bundle.target)
     return (front < bundle.start) & (front * bundle.inverse_range < 1)

@@ -52,13 +52,11 @@ class Tree(eqx.Module):
         """Places in a leaf."""
         return self.face.shape[1]
 
-    def front(self, direction: Float[Array, " 3"]) -> Float[Array, ""]:
-        """How far the boxes below the root reach along a unit vector, measured from `centre` [m]; -inf without them."""
-        if not self.boxes:
-            return jnp.asarray(-jnp.inf, direction.dtype)
-        low, high = self.boxes[0][0].reshape(2, 3, WIDTH)
-        reach = direction @ (low + high) / 2 + jnp.abs(direction) @ (high - low) / 2
-        return jnp.max(jnp.where(low[0] < FAR / 2, reach, -jnp.inf))
+    def outline(self, most: int) -> Float[Array, "row 96"]:
+        """Boxes of the deepest level with at most `most` of them as an outline, see `jaxir.geometry.outline`."""
+        level = max([k for k, boxes in enumerate(self.boxes) if 2 * boxes.shape[0] <= most], default=0)
+        sides = self.boxes[level][: self.boxes[level].shape[0] // 8].reshape(-1, 2, 3, WIDTH)
+        return (sides + self.centre[None, None, :, None]).reshape(-1, 6 * WIDTH)
 
     def refit(self, vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Tree:
         """The same tree about moved vertices; runs under jit. The order of faces stays, so large motions cost speed."""

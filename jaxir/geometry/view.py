@@ -6,9 +6,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from jaxir._vector import radius_about
 from jaxir.geometry.camera import TILE, Camera
 from jaxir.geometry.mesh import Mesh, closest_hit
+from jaxir.geometry.outline import clear_of
+from jaxir.geometry.tree import WIDTH
 
 
 @eqx.filter_jit
@@ -24,7 +25,6 @@ def visible_faces(mesh: Mesh, camera: Camera) -> Int[Array, "row column"]:
     """
     tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
     middle = jnp.full((tile.shape[0], TILE * TILE, 2), 0.5, camera.pixel.dtype)
-    radius = 1.001 * radius_about(mesh.vertices, camera.target)
-    start = camera.clear(mesh.front(camera.frame[2], camera.target), radius)
+    start = clear_of(mesh.outline(WIDTH), mesh.vertices, camera)
     hit = closest_hit(mesh, camera.bundle(camera.screen(tile, middle).reshape(-1, 2), start))
     return camera.untile(hit.face.reshape(middle.shape[:2]))

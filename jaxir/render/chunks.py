@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, enforce
 from jaxir.geometry.camera import TILE, Camera, pixel_strata, stratum_points
+from jaxir.geometry.outline import may_see
 from jaxir.optics.band import Band, Nodes, as_nodes
 from jaxir.render.image import Image, image_of
 from jaxir.scene.background import AbstractUniformBackground
@@ -171,22 +172,52 @@ def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Flo
 
 @eqx.filter_jit
 def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
-    """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles."""
-    own, tile = jax.random.fold_in(taken.key, chunk), taken.tile(chunk).reshape(-1, taken.tiles_at_once)
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(own, jnp.arange(tile.shape[0], dtype=jnp.uint32))
-    every = lax.map(lambda some: _estimate(taken, *some), (tile, keys))
-    mean, variance = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:])), every)
-    empty = mean.empty
-    if empty is None:
-        empty = taken.optical.nodes.in_band(empty_radiance(taken.optical, taken.camera.frame[:1, None]))
-    return Estimate(mean.radiance, variance, empty, mean.orders)
+    """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles.
 
-
-def _estimate(taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""]) -> tuple[_Seen, Array]:
-    """What the pixels of some tiles see, and the variance of their radiance."""
-    optical, camera, _, strata, method, _ = taken
-    start, background = optical.scene.start(camera), optical.scene.background
+    Before a uniform background no ray is taken in tiles that see nothing of the scene.
+    """
+    optical, camera, key, strata, method, _ = taken
+    background = optical.scene.background
     uniform = background is None or isinstance(background, AbstractUniformBackground)
+    empty = optical.nodes.in_band(empty_radiance(optical, camera.frame[:1, None])) if uniform else None
+    tile, together = taken.tile(chunk), taken.tiles_at_once
+    some = may_see(optical.scene.outline(), camera, tile) if uniform else jnp.ones(tile.shape, bool)
+    order = jnp.argsort(~some, stable=True)  # tiles that see something go together
+
+    def block(own: tuple[Array, Array, Array]) -> tuple[_Seen, Array]:
+        tile, key, some = own
+
+        def nothing() -> tuple[_Seen, Array]:
+            dark = _dark(taken, empty)
+            assert empty is not None
+            return dark._replace(radiance=dark.radiance + empty), dark.radiance
+
+        if not uniform:
+            return _estimate(taken, tile, key, empty)
+        return lax.cond(some, lambda: _estimate(taken, tile, key, empty), nothing)
+
+    blocks = (-1, together)
+    own = jax.random.fold_in(key, chunk)
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(own, jnp.arange(tile.shape[0] // together, dtype=jnp.uint32))
+    every = lax.map(block, (tile[order].reshape(blocks), keys, jnp.any(some[order].reshape(blocks), axis=1)))
+    back = jnp.argsort(order)
+    mean, variance = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:]))[back], every)
+    return Estimate(mean.radiance, variance, mean.empty if empty is None else empty, mean.orders)
+
+
+def _dark(taken: Pass, empty: Array | None) -> _Seen:
+    """No light in the pixels of the tiles that are handled at once."""
+    pixels = (taken.tiles_at_once, TILE * TILE)
+    bands, dtype = taken.optical.nodes.response.shape[0], taken.camera.pixel.dtype
+    zero = jnp.zeros((*pixels, bands), dtype)
+    orders = None if taken.method.scattering is None else jnp.zeros((*pixels, 2, bands), dtype)
+    return _Seen(zero, zero if empty is None else None, orders)
+
+
+def _estimate(taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], empty: Array | None) -> tuple[_Seen, Array]:
+    """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
+    optical, camera, _, strata, method, _ = taken
+    start = optical.scene.start(camera)
     size, some = tile.shape[0], taken.strata_at_once
 
     def group(carry: tuple[_Seen, Array], first: Array) -> tuple[tuple[_Seen, Array], None]:
@@ -203,21 +234,18 @@ def _estimate(taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""]) -> tu
         else:
             along = None if isinstance(method.path, CellSum) else jax.random.fold_in(anew, 1)
             radiance = evaluate(optical, paths, method.reflection, method.path, along)
-        empty = None if uniform else empty_radiance(optical, paths.rays.direction)
+        without = empty_radiance(optical, paths.rays.direction) if empty is None else None
         seen = jax.tree.map(
             lambda value: optical.nodes.in_band(value).reshape((size, TILE * TILE, some, 2, *value.shape[1:-1], -1)),
-            _Seen(radiance, empty, orders),
+            _Seen(radiance, without, orders),
         )
         mean = jax.tree.map(lambda value: jnp.sum((value[:, :, :, 0] + value[:, :, :, 1]) / 2, axis=2), seen)
         apart = seen.radiance[:, :, :, 0] - seen.radiance[:, :, :, 1]
         total, square = carry
         return (jax.tree.map(jnp.add, total, mean), square + jnp.sum(apart**2, axis=2) / 4), None
 
-    count, bands = strata[0] * strata[1], optical.nodes.response.shape[0]
-    zero = jnp.zeros((size, TILE * TILE, bands), start.dtype)
-    orders = None if method.scattering is None else jnp.zeros((size, TILE * TILE, 2, bands), start.dtype)
-    dark = _Seen(zero, None if uniform else zero, orders)
-    (total, square), _ = lax.scan(group, (dark, zero), jnp.arange(0, count, some, dtype=jnp.int32))
+    count, dark = strata[0] * strata[1], _dark(taken, empty)
+    (total, square), _ = lax.scan(group, (dark, dark.radiance), jnp.arange(0, count, some, dtype=jnp.int32))
     return jax.tree.map(lambda sum: sum / count, total), square / count**2
 
 

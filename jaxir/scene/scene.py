@@ -10,6 +10,8 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check
 from jaxir._vector import radius_about
 from jaxir.geometry.camera import Camera
+from jaxir.geometry.outline import MARGIN, clear_of, outline
+from jaxir.geometry.tree import WIDTH
 from jaxir.scene.atmosphere import AbstractAtmosphere
 from jaxir.scene.background import AbstractBackground
 from jaxir.scene.jet import JetPlume
@@ -17,6 +19,8 @@ from jaxir.scene.near_source import AbstractAreaSource
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.skin import Skin
 from jaxir.scene.source import AbstractDeltaSource
+
+BOXES = 4096  # most boxes that outline a mesh
 
 
 class Scene(eqx.Module):
@@ -70,18 +74,19 @@ class Scene(eqx.Module):
 
     def radius(self, centre: Float[Array, " 3"]) -> Float[Array, ""]:
         """Radius about `centre` of a sphere that holds skin and plume, plus .1 % [m]; without derivative."""
-        return lax.stop_gradient(radius_about(self.extent(), centre) * 1.001)
+        return lax.stop_gradient(radius_about(self.extent(), centre) * MARGIN)
+
+    def outline(self, most: int = BOXES) -> Float[Array, "row 96"]:
+        """Boxes that hold skin and plume, see `jaxir.geometry.outline`; at most `most` for the skin, or 16."""
+        boxes = [] if self.skin is None else [self.skin.mesh.outline(most)]
+        if self.plume is not None:
+            corners = self.plume.extent()
+            boxes.append(outline(corners.min(axis=0)[None], corners.max(axis=0)[None]))
+        return lax.stop_gradient(jnp.concatenate(boxes))
 
     def start(self, camera: Camera) -> Float[Array, ""]:
-        """Height above a camera's target plane at which its rays start, before skin and plume [m]; no derivative.
-
-        Beyond the boxes in which the mesh is searched, so that rays are searched together, see `closest_hit`.
-        """
-        toward = camera.frame[2]
-        fronts = [] if self.skin is None else [self.skin.mesh.front(toward, camera.target)]
-        if self.plume is not None:
-            fronts.append(jnp.max((self.plume.extent() - camera.target[None, :]) @ toward))
-        return lax.stop_gradient(camera.clear(jnp.max(jnp.stack(fronts)), self.radius(camera.target)))
+        """Height above a camera's target plane at which its rays start, see `clear_of` [m]; without derivative."""
+        return lax.stop_gradient(clear_of(self.outline(WIDTH), self.extent(), camera))
 
     def checks(self) -> list[Check]:
         """The checks of every part present."""

@@ -8,7 +8,6 @@ import pytest
 import jaxir
 from jaxir._arrays import as_float
 from jaxir.geometry.camera import TILE, fitted_camera, view_frame
-from tests.geometry.bodies import torus
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 37.0, 180.0, -120.0])
@@ -87,15 +86,3 @@ def test_a_fitted_camera_just_holds_the_scene(distance, x64):
     half = np.asarray(camera.pixel) * np.array([60, 30]) / 2
     share = np.abs(seen).max(axis=0) / half
     assert (share < 1).all() and (share > 0.99).all()
-
-
-@pytest.mark.parametrize("distance", [np.inf, 30.0])
-def test_rays_start_before_the_boxes_of_the_search_at_every_aspect(distance):
-    vertices, faces = torus()
-    mesh = jaxir.Mesh(vertices * np.array([3.0, 1.0, 0.5]) + np.array([0.5, 0.2, 0.1]), faces)
-    scene = jaxir.Scene(jaxir.Skin(mesh, 300.0, jaxir.Lambert(0.8)))
-    for azimuth, elevation in np.random.default_rng(3).uniform([0, -90], [360, 90], (40, 2)):
-        camera = fitted_camera(azimuth, elevation, mesh.vertices, (16, 16), distance)
-        start, front = float(scene.start(camera)), float(mesh.front(camera.frame[2], camera.target))
-        height = np.asarray(mesh.vertices - camera.target[None, :]) @ np.asarray(camera.frame[2])
-        assert height.max() < front < start < distance
