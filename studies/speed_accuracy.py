@@ -264,7 +264,7 @@ def aircraft(peer) -> list[Way]:
     cover = rendering(lone, camera, 128)(98) / black(300.0)
     inside = cover > 1 - 1e-4
     error = rrmse(expected, inside)
-    ways = [Way("jaxir", n, rendering(scene, camera, n), error) for n in (2, 8, 32)]
+    ways = [Way("jaxir", n, rendering(scene, camera, n), error) for n in (2, 4, 6, 8, 32)]
     if peer:
         mi, dr = peer
         frame = np.asarray(view_frame(azimuth, elevation))

@@ -174,7 +174,7 @@ def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Arra
         places = number * tree.slots + jnp.arange(tree.slots, dtype=jnp.int32)
         t, unsure = _leaf_hits(row(tree.leaves, number).astype(dtype), ray, places, best, bound, settle)
         nearest = smallest(t)
-        place = jnp.min(jnp.where(t == nearest, places, jnp.int32(2**31 - 1)))
+        place = number * tree.slots + lowest_bit(bits(t == nearest))
         doubt = doubt | jnp.max(unsure.astype(jnp.int32))
         return jnp.minimum(nearest, best), jnp.where(nearest < best, place, found), doubt
 

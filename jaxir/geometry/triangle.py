@@ -10,6 +10,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from jaxir.geometry.loops import varying
+
 
 class Hit(eqx.Module):
     """Where rays meet a mesh, differentiable in vertices and rays; all fields are finite on a miss except t.
@@ -83,7 +85,7 @@ def _by_blocks(vertices: Array, faces: Array, face: Array, origin: Array, direct
 
         def missed() -> tuple[Array, ...]:
             hit = no_hit(origin)
-            return hit.t, hit.barycentric, hit.point, hit.normal
+            return varying((hit.t, hit.barycentric, hit.point, hit.normal), face)
 
         return lax.cond(jnp.any(face >= 0), lambda: _at_once(vertices, faces, face, origin, direction), missed)
 
