@@ -56,6 +56,11 @@ def test_closed_means_a_solid_that_looks_outwards():
     ("vertices", "faces", "message"),
     [
         (np.zeros((3, 3)), np.zeros((0, 3), int), "got 0 faces"),
+        (
+            np.zeros((3, 3)),
+            np.broadcast_to(np.arange(3), (2**27 + 1, 3)),
+            "got 134217729 faces, expected 1 to 134217728",
+        ),
         (np.zeros((3, 3)), [[0, 1, 3]], "indices 0 to 3"),
         (np.zeros((3, 3)), [[0, -1, 2]], "indices -1 to 2"),
         (np.zeros((3, 3)), [[0.0, 1.0, 2.0]], "expected integers"),

@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -6,6 +7,7 @@ from bodies import BODIES, as_float, every_face, fins, incoherent, picture, soup
 
 from jaxir.geometry.mesh import Mesh, any_hit, closest_hit
 from jaxir.geometry.ray import Rays
+from jaxir.geometry.shadow import occluded
 
 TOLERANCE = {"float32": 2e-5, "float64": 1e-12}
 
@@ -163,3 +165,33 @@ def test_rays_can_be_sharded():
     single, tiles = sharded(mesh, rays, bundle.screen)
     assert np.array_equal(single, closest_hit(mesh, rays).face)
     assert np.array_equal(tiles, closest_hit(mesh, bundle).face)
+
+
+def test_what_an_accelerator_would_run_finds_the_same(monkeypatch):
+    vertices, faces = sphere(2)
+    mesh, sun = Mesh(vertices, faces), as_float([0.0, 0.6, 0.8])
+    rays, bundle = incoherent(np.random.default_rng(5), 313), picture([0.3, -0.8, 0.5], 9.0)
+    # rays through vertices are in doubt, and so are searched again
+    aimed = np.asarray(mesh.vertices)[:150] - np.asarray(rays.origin)[:150]
+    aimed = np.concatenate([aimed / np.linalg.norm(aimed, axis=1, keepdims=True), np.asarray(rays.direction)[150:]])
+
+    def found(more):
+        """With the last ray repeated: what was compiled before has another shape."""
+        at = np.minimum(np.arange(313 + more), 312)
+        hit = closest_hit(mesh, Rays(rays.origin[at], as_float(aimed)[at]))
+        at = np.minimum(np.arange(bundle.count + more), bundle.count - 1)
+        seen = closest_hit(mesh, eqx.tree_at(lambda b: b.screen, bundle, bundle.screen[at]))
+        hidden = occluded(mesh, seen.point, seen.face, sun, seen.face >= 0)
+        return [np.asarray(value, float)[: len(value) - more] for value in (hit.t, seen.t, seen.normal, hidden)]
+
+    native, taken = found(0), []
+
+    def elsewhere(*operands, cpu, default):
+        taken.append(default)
+        return default(*operands)
+
+    monkeypatch.setattr(jax.lax, "platform_dependent", elsewhere)
+    lockstep = found(1)
+    assert len(taken) >= 5
+    for one, other in zip(native, lockstep, strict=True):
+        np.testing.assert_allclose(other, one, rtol=2e-5, atol=2e-5)
