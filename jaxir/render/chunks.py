@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -96,9 +95,9 @@ class Pass(NamedTuple):
 
     @property
     def strata_at_once(self) -> int:
-        """Strata of every pixel that are traced together: a power of two that divides their number."""
+        """Strata of every pixel that are traced together; a divisor of their number."""
         count, most = self.strata[0] * self.strata[1], min(STRATA_AT_ONCE, max(self._at_once // 2, 1))
-        return math.gcd(count, 1 << (most.bit_length() - 1))
+        return max(some for some in range(1, most + 1) if count % some == 0)
 
     @property
     def tiles_at_once(self) -> int:
@@ -145,9 +144,13 @@ def first_pass(
 ) -> Pass:
     """A pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
     strata = pixel_strata(samples)
-    checks = [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)]
-    optical = compiled_radiometry(scene, enforce(as_nodes(bands), checks))
+    optical = compiled_radiometry(scene, enforce(as_nodes(bands), _checks(scene, camera, method)))
     return Pass(optical, camera, key, strata, method, parts)
+
+
+@eqx.filter_jit
+def _checks(scene: Scene, camera: Camera, method: Method) -> list[Check]:
+    return [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)]
 
 
 @eqx.filter_jit

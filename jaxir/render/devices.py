@@ -76,9 +76,14 @@ def over_items(
     if devices is None:
         bar = tqdm(items, desc=label, delay=5, leave=False)
         results = [jax.block_until_ready(function(inputs, item)) for item in bar]
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *results)
+        return _stacked(results)
     parts = [part for _, part in item_by_item(function, inputs, items, label, devices)]
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+
+
+@jax.jit
+def _stacked(results: list[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *results)
 
 
 def item_by_item(
