@@ -16,6 +16,7 @@ from jaxir.geometry.camera import TILE, Camera
 from jaxir.geometry.tree import FAR, WIDTH
 
 MARGIN = 1.001  # of a sphere, so that what it holds lies inside it
+NEAREST = 0.999  # share of the eye's distance within which boxes are projected without losing digits
 
 
 def outline(low: Float[Array, "box 3"], high: Float[Array, "box 3"]) -> Float[Array, "row 96"]:
@@ -40,20 +41,22 @@ def clear_of(boxes: Float[Array, "row 96"], points: Float[Array, "point 3"], cam
     Before the boxes, so that rays are searched together (see `closest_hit`); where these reach the eye, on a sphere
     about the target that holds `points`, whose hull holds the body.
     """
-    front = front_of(boxes, camera.frame[2], camera.target)
-    beyond = jnp.max(jnp.where(boxes < FAR / 2, jnp.abs(boxes), 0)) + jnp.max(jnp.abs(camera.target))
-    start = front + 1e-3 * beyond
+    sides = boxes.reshape(-1, 2, 3, WIDTH)
+    reach = jnp.max(jnp.where(sides < FAR / 2, jnp.abs(sides - camera.target[None, None, :, None]), 0))
+    start = front_of(boxes, camera.frame[2], camera.target) + 1e-3 * reach
     return lax.cond(
         start * camera.inverse_range < 1, lambda: start, lambda: MARGIN * radius_about(points, camera.target)
     )
 
 
 def may_see(boxes: Float[Array, "row 96"], camera: Camera, tile: Int[Array, " tile"]) -> Bool[Array, " tile"]:
-    """Whether pixels of tiles may see what lies in the boxes, which are before the eye; where not, they do not."""
+    """Whether pixels of tiles may see what lies in the boxes: where not, they do not; all where a box is at the eye."""
+    before = front_of(boxes, camera.frame[2], camera.target) * camera.inverse_range < NEAREST
     travel = travel_of(camera.frame)
     seen = project_boxes(boxes, travel, travel @ -camera.target, camera.inverse_range)
     left, right, bottom, top = (seen[None, :, k * WIDTH : (k + 1) * WIDTH] for k in range(4))
     corner = jnp.zeros((tile.shape[0], TILE * TILE, 2), seen.dtype)
     ends = camera.screen(tile, corner)[:, 0], camera.screen(tile, corner + 1)[:, -1]
     begin, end = (side.T[:, :, None, None] for side in (jnp.minimum(*ends), jnp.maximum(*ends)))
-    return jnp.any((left <= end[0]) & (right >= begin[0]) & (bottom <= end[1]) & (top >= begin[1]), axis=(1, 2))
+    some = jnp.any((left <= end[0]) & (right >= begin[0]) & (bottom <= end[1]) & (top >= begin[1]), axis=(1, 2))
+    return some | ~before

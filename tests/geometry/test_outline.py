@@ -39,6 +39,8 @@ def test_an_eye_among_the_boxes_but_outside_the_sphere_of_the_vertices_still_has
     camera = eqx.tree_at(lambda c: c.target, camera, jnp.zeros(3))
     start = float(scene.start(camera))
     assert reach < start < 1.005 * reach < float(front_of(scene.outline(WIDTH), camera.frame[2], jnp.zeros(3)))
+    away = eqx.tree_at(lambda c: c.pixel, camera, camera.pixel * 10)  # a box at the eye may be seen anywhere
+    assert bool(may_see(scene.outline(), away, jnp.arange(1, dtype=jnp.int32)).all())
 
 
 @pytest.mark.parametrize("distance", [np.inf, 12.0])
