@@ -206,7 +206,8 @@ class Sobol(AbstractSampler):
         second = jnp.zeros_like(index)
         for bit, direction in enumerate(_second_sobol()):
             second = second ^ jnp.where((index >> bit) & 1 == 1, jnp.uint32(direction), jnp.uint32(0))
-        return jnp.stack([_unit(_owen(_reverse(index), seed[1])), _unit(_owen(second, seed[2]))], axis=-1)
+        points = jnp.stack([_unit(_owen(_reverse(index), seed[1])), _unit(_owen(second, seed[2]))], axis=-1)
+        return lax.optimization_barrier(points)  # or XLA computes them anew for every use
 
 
 class Lattice(AbstractSampler):
