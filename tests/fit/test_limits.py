@@ -23,6 +23,8 @@ from jaxir.fit import (
     sensitivity,
     solve,
 )
+from jaxir.fit.parameter import at_values
+from jaxir.fit.walk import THERE, linearised, look, stay
 from jaxir.transport.drift import density_ratio, effective_share
 from jaxir.transport.paths import trace
 from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, looked_at, slab
@@ -126,14 +128,21 @@ def test_a_jet_that_outgrows_its_images_is_traced_again():
 
 def test_fewer_rays_stand_for_all_that_meet_a_jet():
     scene = jet(1200.0, 16.0)
-    measured = measured_intensity(scene, AROUND, TWO, np.ones((4, 2)), 1.0, shape=(64, 64))
-    problem = prepare(scene, JET[:1], [measured])
+    value = np.asarray(jaxir.signature(scene, AROUND, TWO, shape=(64, 64)).intensity)
+    measured = measured_intensity(scene, AROUND, TWO, value, 0.01 * value, shape=(64, 64))
+    problem = prepare(scene, JET, [measured])
     observed = problem.observations[0]
-    few, all_rays = (int((part.weight > 0).sum()) for part in (observed.thinned, observed.through))
-    assert few < 0.2 * all_rays
+    sums = observed.leading, observed.steering, observed.through
+    few, more, all_rays = (int((rays.weight > 0).sum()) for rays in sums)
+    assert few < 0.02 * all_rays and more < 0.2 * all_rays
     z = problem.coordinates.origin()
-    slopes = [jax.jvp(f, (z,), (jnp.ones_like(z),))[1] for f in (problem.thinned, problem.residual)]
-    np.testing.assert_allclose(slopes[0], slopes[1], rtol=0.05)
+    leading, steering, exact = (np.asarray(linearised(p, z)) for p in (problem.leading(), problem.steering(), problem))
+    np.testing.assert_allclose(leading[:, 0], exact[:, 0], rtol=0.05)
+    spread = [np.sqrt(np.diag(np.linalg.inv(j.T @ j))) for j in (steering, exact)]
+    np.testing.assert_allclose(*spread, rtol=0.05)
+    found = solve(problem)
+    there = at_values(problem.coordinates, found.uncertainty.value)
+    assert stay(problem, there, look(problem, there)).distance < 2 * THERE  # by the slopes of all rays
 
 
 def test_a_solver_that_fails_keeps_the_best_point_and_says_so():
