@@ -51,13 +51,15 @@ def fit(
         solver: of optimistix; `LevenbergMarquardt` by default. `optimistix.LBFGS` suits thousands of parameters.
         robust: residual, in standard deviations, from which the loss grows linearly (pseudo-Huber).
         starts: further starts, physical values [start, p]; all run under one vmap, the best result counts.
-        max_steps: of the solver, for each of its two walks.
+        max_steps: of the solver, for each of its walks.
         rounds: how often rays may be traced. They are traced again where the solution has outgrown the images, or
             where sampled directions suit its brdf so badly that fewer than half of them count.
         key: random key of the points in the pixels and of sampled light.
 
     Returns:
-        The fit. A solver that fails is reported in it, with the best point kept; nothing is raised for that.
+        The fit. A solver that fails is reported in it, with the best point kept; nothing is raised for that. Residuals
+        are of all rays. Where a jet has so many that fewer lead, standard deviations are of some hundred rays in each
+        row: within 3 % of those of all where they were compared, and 1 % in `studies.fit_plume`.
 
     Raises:
         ValueError: values out of range; starts outside bounds; fewer data than parameters; a parameter that changes
