@@ -30,7 +30,7 @@ from jaxir.geometry.camera import view_frame
 from jaxir.geometry.ray import Rays
 from studies import mitsuba_peer
 from studies.aircraft import generic_aircraft
-from studies.charts import out_folder
+from studies.charts import judge, out_folder
 from studies.march_speed import native_walk
 
 BAND = jaxir.MWIR
@@ -354,13 +354,6 @@ def gradient_ratio(rounds: int) -> float:
         jax.block_until_ready(backward(faces))
         ratios.append((time.process_time() - b) / (b - a))
     return float(np.median(ratios))
-
-
-def judge(what: str, got: float, goal: float, more_is_better: bool = True) -> str:
-    good = got >= goal if more_is_better else got <= goal
-    apart = got / goal if (got >= goal) else goal / got
-    sign, verdict = ">=" if more_is_better else "<=", "met" if good else "MISSED"
-    return f"{what}: {got:.3g} (goal {sign} {goal:g}), {verdict} by {apart:.2g} x"
 
 
 def goals(rows: list[dict], rounds: int, cases: list[str]) -> list[str]:

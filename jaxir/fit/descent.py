@@ -24,7 +24,7 @@ import optimistix as optx
 from jax import lax
 from jaxtyping import Array, Bool, Float, PyTree
 
-START = 1e-3  # damping at first, in units of the largest squared singular value
+START = 1e-5  # damping at first, in units of the largest squared singular value
 LEAST_RATIO = 1e-3  # of the fall of the loss to the predicted one, for a step to be taken
 NEARLY = 10  # tolerances from the solution within which a step that gains nothing tells rounding, and is the last
 

@@ -33,9 +33,10 @@ from jaxir.transport.reflection import Reflection, reflection_of
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 SLICE = 64  # rays in a slice, at most
-THIN = 120  # rays of each half of a row that lead a jet to the solution; with rounding two slices
+LEADING = 60  # rays of each half of a row that lead a jet near the solution; with rounding a slice
+STEERING = 480  # that tell the slopes there: to .6 % of their norm in the plume study, the leading ones to 4 %
 ROUND = 8  # slices of a chunk are a multiple of it, so that a few rays more or less compile nothing anew
-EVEN = 0.1  # share of them spread evenly, the rest where the radiance is
+EVEN = 0.1  # share of either spread evenly, the rest where the radiance is
 
 
 class RaySum(eqx.Module):
@@ -91,31 +92,26 @@ class Observation(eqx.Module):
         measurement: what was measured.
         scene: what was traced.
         through: rays on which a plume acts; None without.
-        thinned: fewer rays that stand for `through` on the way to a solution; None where all are needed.
+        leading: few rays that stand for `through` on the way to a solution; None where all are needed.
+        steering: more, that tell its slopes; None where all are needed.
         beside: rays that meet skin and on which no plume acts; None without.
     """
 
     measurement: Measurement
     scene: Scene
     through: RaySum | None
-    thinned: RaySum | None
+    leading: RaySum | None
+    steering: RaySum | None
     beside: RaySum | None
 
     def predict_halves(self, scene: Scene) -> Float[Array, "2 row band"]:
         """Predictions of both halves of the rays; their mean is the prediction. Differentiable as `evaluate`."""
-        return self._predict(scene, self.through)
-
-    def predict_thinned(self, scene: Scene) -> Float[Array, "2 row band"]:
-        """As `predict_halves`, of fewer rays: good enough to lead to a solution."""
-        return self._predict(scene, self.through if self.thinned is None else self.thinned)
-
-    def _predict(self, scene: Scene, through: RaySum | None) -> Float[Array, "2 row band"]:
         measurement = self.measurement
         nodes, (rows, bands) = measurement.nodes, measurement.value.shape
         optical = radiometry(scene, nodes)
         totals = jnp.zeros((2 * rows, bands), measurement.value.dtype)
-        if through is not None:
-            totals = through.add(optical, measurement.reflection, totals)
+        if self.through is not None:
+            totals = self.through.add(optical, measurement.reflection, totals)
         if self.beside is not None:
             clear = eqx.tree_at(lambda o: o.medium, optical, None, is_leaf=lambda x: x is None)
             totals = self.beside.add(clear, measurement.reflection, totals)
@@ -124,6 +120,11 @@ class Observation(eqx.Module):
             return contrast
         direction = measurement.cameras.frame[0, 2:]  # any: the background is uniform, see `observe`
         return contrast + nodes.in_band(empty_radiance(optical, direction))[None]
+
+    def fewer(self, rays: RaySum | None) -> Observation:
+        """The same measurement, predicted by fewer rays where there are such."""
+        through = self.through if rays is None else rays
+        return Observation(self.measurement, self.scene, through, None, None, self.beside)
 
     @eqx.filter_jit
     def effective_share(self, scene: Scene) -> Float[Array, ""]:
@@ -137,12 +138,15 @@ class Observation(eqx.Module):
 
     def holds(self, scene: Scene) -> bool:
         """Whether the images and the starts of the rays still hold the outline of another scene."""
-        if not isinstance(scene.plume, JetPlume):
-            return True
-        cameras = _widened(self.measurement, scene)
-        same = bool((cameras.pixel <= self.measurement.cameras.pixel).all())
-        reach = [jax.vmap(s.radius)(cameras.target) for s in (scene, self.scene)]
-        return same and bool((reach[0] <= reach[1]).all())
+        return not isinstance(scene.plume, JetPlume) or bool(_held(self, scene))
+
+
+@eqx.filter_jit
+def _held(observation: Observation, scene: Scene) -> Bool[Array, ""]:
+    cameras = _widened(observation.measurement, scene)
+    same = (cameras.pixel <= observation.measurement.cameras.pixel).all()
+    reach = [jax.vmap(s.radius)(cameras.target) for s in (scene, observation.scene)]
+    return same & (reach[0] <= reach[1]).all()
 
 
 def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving: bool) -> Observation:
@@ -181,8 +185,8 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
     bare = scene if scene.skin is None or scene.plume is None else eqx.tree_at(lambda s: s.plume, scene, None)
     beside = _merged(bare, measurement, _gather(rays, np.flatnonzero(on_skin & ~crosses)))
     full = _ray_sum(scene, measurement, through, key)
-    thinned = _ray_sum(scene, measurement, _thinned(scene, measurement, full), key)
-    return Observation(measurement, scene, full, thinned, _ray_sum(bare, measurement, beside, key))
+    leading, steering = (_ray_sum(scene, measurement, some, key) for some in _thinned(scene, measurement, full))
+    return Observation(measurement, scene, full, leading, steering, _ray_sum(bare, measurement, beside, key))
 
 
 def _widened(measurement: Measurement, scene: Scene) -> Camera:
@@ -275,36 +279,42 @@ def _merged(scene: Scene, measurement: Measurement, rays: _ViewRays) -> _ViewRay
     return eqx.tree_at(lambda r: r.weight, _gather(rays, first), jnp.asarray(weight, rays.weight.dtype))
 
 
-def _thinned(scene: Scene, measurement: Measurement, through: RaySum | None) -> _ViewRays | None:
-    """About `THIN` rays in each group that stand for all rays that meet a jet and no skin.
+def _thinned(
+    scene: Scene, measurement: Measurement, through: RaySum | None
+) -> tuple[_ViewRays | None, _ViewRays | None]:
+    """About `LEADING` and `STEERING` rays in each group that stand for all rays that meet a jet and no skin.
 
     Systematic sampling with a probability proportional to what a ray contributes now, averaged over bands, so that
     each ray kept stands for the same part of its row. A jet's few parameters act on all of its rays; parameters of
     the skin may act on a few rays only, so those that meet it stay. None where that leaves most.
     """
     if not isinstance(scene.plume, JetPlume) or through is None:
-        return None
+        return None, None
     weight, part = (np.asarray(x, np.float64) for x in (through.weight, through.parts(scene, measurement)))
     group = np.broadcast_to(np.asarray(through.group)[..., None], weight.shape).reshape(-1)
     weight, part = weight.reshape(-1), part.reshape(-1, part.shape[-1])
     face = np.full(group.shape, -1) if through.paths.hit is None else np.asarray(through.paths.hit.face).reshape(-1)
-    free = np.flatnonzero((face < 0) & (weight > 0))
+    free, on_skin = np.flatnonzero((face < 0) & (weight > 0)), np.flatnonzero((face >= 0) & (weight > 0))
     free = free[np.argsort(group[free], kind="stable")]
-    _, first, of, counts = np.unique(group[free], return_index=True, return_inverse=True, return_counts=True)
+    _, of = np.unique(group[free], return_inverse=True)
     share = (1 - EVEN) * _share(part[free], of).mean(axis=1) + EVEN * _share(weight[free, None], of)[:, 0]
     share = share / np.bincount(of, share)[of]
     above = np.cumsum(share) - of  # groups lie one behind the other and have a share of 1 each
-    picks = np.floor(THIN * above + 0.5) - np.floor(THIN * (above - share) + 0.5)
-    kept = np.flatnonzero(picks > 0)
-    if 2 * kept.size > free.size:
-        return None
-    scaled = weight.copy()
-    scaled[free[kept]] *= picks[kept] / (THIN * share[kept])
-    index = np.concatenate([np.flatnonzero((face >= 0) & (weight > 0)), free[kept]])
-    rays = jax.tree.map(lambda leaf: leaf.reshape(-1, 3)[index], through.paths.rays)
-    group_of, face_of = (jnp.asarray(x[index], jnp.int32) for x in (group, face))
-    scaled_weight = jnp.asarray(scaled[index], through.weight.dtype)
-    return _ViewRays(rays, scaled_weight, group_of, face_of, jnp.ones(index.size, bool))
+
+    def about(count: int) -> _ViewRays | None:
+        picks = np.floor(count * above + 0.5) - np.floor(count * (above - share) + 0.5)
+        kept = np.flatnonzero(picks > 0)
+        if 2 * kept.size > free.size:
+            return None
+        scaled = weight.copy()
+        scaled[free[kept]] *= picks[kept] / (count * share[kept])
+        index = np.concatenate([on_skin, free[kept]])
+        rays = jax.tree.map(lambda leaf: leaf.reshape(-1, 3)[index], through.paths.rays)
+        group_of, face_of = (jnp.asarray(x[index], jnp.int32) for x in (group, face))
+        scaled_weight = jnp.asarray(scaled[index], through.weight.dtype)
+        return _ViewRays(rays, scaled_weight, group_of, face_of, jnp.ones(index.size, bool))
+
+    return about(LEADING), about(STEERING)
 
 
 def _share(part: np.ndarray, of: np.ndarray) -> np.ndarray:

@@ -68,13 +68,15 @@ class Problem(eqx.Module):
     @property
     def thins(self) -> bool:
         """Whether there are fewer rays that lead near a solution."""
-        return any(o.thinned is not None for o in self.observations)
+        return any(o.leading is not None for o in self.observations)
 
-    def thinned(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
-        """As `residual`, of fewer rays."""
-        scene = self.coordinates.scene(self.coordinates.values(z))
-        halves = tuple(_deviation(o, o.predict_thinned(scene)) for o in self.observations)
-        return self.stacked(halves, self.prior(z))
+    def leading(self) -> Problem:
+        """The same problem with the few rays that lead near a solution."""
+        return eqx.tree_at(lambda p: p.observations, self, tuple(o.fewer(o.leading) for o in self.observations))
+
+    def steering(self) -> Problem:
+        """The same problem with the rays that tell slopes near a solution."""
+        return eqx.tree_at(lambda p: p.observations, self, tuple(o.fewer(o.steering) for o in self.observations))
 
     def stacked(self, halves: tuple[Array, ...], prior: Array) -> Float[Array, " row"]:
         """One vector of the mean of both halves and the priors."""
@@ -197,8 +199,8 @@ def value_and_jacobian(function: Residual, z: Float[Array, " p"]) -> tuple[Float
     return function(z), lax.map(lambda t: push(t)[1], basis, batch_size=BATCH).T
 
 
-def with_jacobian(function: Residual, slope: Residual) -> Residual:
-    """The same function, whose linearisation holds the Jacobian of `slope`, the same or nearly so, and nothing else.
+def with_jacobian(function: Residual) -> Residual:
+    """The same function, whose linearisation holds its Jacobian and nothing else.
 
     A solver that linearises a long computation would else keep every intermediate result of it.
     """
@@ -209,6 +211,7 @@ def with_jacobian(function: Residual, slope: Residual) -> Residual:
 
     @held.defjvp
     def held_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-        return function(primals[0]), value_and_jacobian(slope, primals[0])[1] @ tangents[0]
+        value, jacobian = value_and_jacobian(function, primals[0])
+        return value, jacobian @ tangents[0]
 
     return held

@@ -1,15 +1,14 @@
 """From starts to the solution of a prepared fit.
 
 A first walk of the solver on logarithmic residuals leads near the solution, a second on the ordinary ones to it. Where
-fewer rays lead, see `Observation`, the first walk is on those alone. The second then takes its slopes from them but its
-residuals from all rays, so a step costs one evaluation of all rays and none ends where they say that it is worse; and
-`settle` goes the rest, a fraction of a standard deviation, with the slopes of all rays, which the uncertainty needs
-anyway.
+fewer rays lead, see `Observation`, there is only the first, on those alone, and `settle` goes the rest with residuals
+of all rays and slopes of fewer: a step costs one evaluation of all rays. An error E of the slopes leaves its share of
+the distance, and at the solution, where J^T r = 0, a distance of |E^T r| that is not seen: with residuals r of some
+standard deviations and the slopes of the rays that steer, some hundredths of one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,43 +17,54 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float
 from jaxir.fit.descent import LevenbergMarquardt
-from jaxir.fit.problem import Problem, Residual, value_and_jacobian, with_jacobian
+from jaxir.fit.problem import Problem, value_and_jacobian, with_jacobian
 
-NEAR, THERE = 0.1, 0.03  # distance from the solution at which walks end [standard deviations]
-MISLED = 1.0  # distance at which fewer rays have led to the wrong place
-SETTLING = 4  # steps of `settle` at most
+NEAR, THERE = 1.0, 0.03  # distance from the solution at which walks end [standard deviations]
+MISLED = 0.3  # distance at which fewer rays have led to the wrong place
+NEXT = 1.0  # distance up to which the slopes of the rays that lead are good enough
+SETTLING = 8  # steps of `settle` at most
 DETERMINED = 1.0  # standard deviation in natural steps up to which `settle` moves a combination of parameters
 
 
 class Walked(NamedTuple):
-    """Where walks from all starts ended [start, p], their losses, steps and result codes [start]."""
+    """Where walks from all starts ended [start, p], their steps and result codes [start]."""
 
     end: Array
-    loss: Array
     steps: Array
     result: optx.RESULTS
 
 
-class Settled(NamedTuple):
-    """A point, predictions and Jacobian there, and how far the solution is [standard deviations]."""
+class Seen(NamedTuple):
+    """Residuals of all rays at a point: of both halves per measurement and of the priors; and their loss."""
 
-    z: Array
     halves: tuple[Array, ...]
     prior: Array
+    residual: Array
+    loss: Array
+
+
+class Settled(NamedTuple):
+    """A point, residuals and Jacobian there, the distance of the solution [standard deviations], steps taken."""
+
+    z: Array
+    seen: Seen
     jacobian: Array
     distance: float
+    steps: int
 
 
 @eqx.filter_jit
-def walk(problem: Problem, starts: Array, size: Array, solver: Any, max_steps: int, leads: bool) -> Walked:
+def walk(
+    problem: Problem, starts: Array, size: Array, solver: Any, max_steps: int, flat: Bool[Array, " walk"]
+) -> Walked:
     """Solve from every start.
 
     The solver moves w = (z - z_begin) * size: a unit step moves the residuals by about one standard deviation
-    whatever the parameter, so damping and tolerances mean the same for all of them. Both walks are one compiled loop.
+    whatever the parameter, so damping and tolerances mean the same for all of them. All walks are one compiled loop.
 
     Args:
         problem: what to solve.
@@ -62,26 +72,16 @@ def walk(problem: Problem, starts: Array, size: Array, solver: Any, max_steps: i
         size: norm of each column of the Jacobian at a start [p].
         solver: of optimistix; `LevenbergMarquardt` for None.
         max_steps: of each walk.
-        leads: whether fewer rays lead where there are such.
+        flat: one walk after the other, whether on logarithmic residuals [walk].
     """
-    fewer = problem.thins and leads
 
     def one_walk(begin: Array, near: Array) -> tuple[Array, Walked]:
-        def moved(function: Residual) -> Residual:
-            def residual(w: Array) -> Array:
-                r = function(begin + w / size)
-                return problem.robustly(jnp.where(near, problem.logarithmic(r), r))
+        def residual(w: Array) -> Array:
+            r = problem.residual(begin + w / size)
+            return problem.robustly(jnp.where(near, problem.logarithmic(r), r))
 
-            return residual
-
-        def value(z: Array) -> Array:
-            if not fewer:
-                return problem.residual(z)
-            return lax.cond(near, lambda: problem.thinned(z), lambda: problem.residual(z))
-
-        function, chosen = moved(value), solver
+        function, chosen = with_jacobian(residual) if solver is None else residual, solver
         if solver is None:
-            function = with_jacobian(function, moved(problem.thinned if fewer else problem.residual))
             rounding = jnp.sqrt(8 * jnp.finfo(begin.dtype).eps).astype(begin.dtype)
             chosen = LevenbergMarquardt(as_float(jnp.where(near, NEAR, THERE)), rounding)
         found: optx.Solution = optx.least_squares(
@@ -89,13 +89,12 @@ def walk(problem: Problem, starts: Array, size: Array, solver: Any, max_steps: i
         )
         end = begin + found.value / size
         end = jnp.where(jnp.isfinite(end).all(), end, begin)
-        loss = found.state.loss if solver is None else jnp.sum(function((end - begin) * size) ** 2)
-        return end, Walked(end, loss, found.stats["num_steps"], found.result)
+        return end, Walked(end, found.stats["num_steps"], found.result)
 
     def one(start: Array) -> Walked:
-        both = lax.scan(one_walk, start, jnp.array([True, False]))[1]
-        last = jax.tree.map(lambda leaf: leaf[-1], both)
-        return last._replace(steps=jnp.sum(both.steps))
+        walks = lax.scan(one_walk, start, flat)[1]
+        last = jax.tree.map(lambda leaf: leaf[-1], walks)
+        return last._replace(steps=jnp.sum(walks.steps))
 
     if starts.shape[0] == 1:
         return jax.tree.map(lambda leaf: leaf[None], one(starts[0]))
@@ -103,63 +102,54 @@ def walk(problem: Problem, starts: Array, size: Array, solver: Any, max_steps: i
 
 
 @eqx.filter_jit
-def linearised(problem: Problem, z: Array, leads: bool) -> tuple[Float[Array, " row"], Float[Array, "row p"]]:
-    """Residuals and their Jacobian; of the rays that lead, if so told."""
-    return value_and_jacobian(problem.thinned if leads else problem.residual, z)
+def linearised(problem: Problem, z: Array) -> Float[Array, "row p"]:
+    """The Jacobian of the residuals."""
+    return value_and_jacobian(problem.residual, z)[1]
 
 
 @eqx.filter_jit
-def predicted(problem: Problem, z: Array) -> tuple[tuple[Array, ...], Array]:
-    """Residuals of both halves of all rays, and of the priors."""
-    return problem.halves(z), problem.prior(z)
+def look(problem: Problem, z: Array) -> Seen:
+    """What all rays say of a point."""
+    halves, prior = problem.halves(z), problem.prior(z)
+    residual = problem.stacked(halves, prior)
+    return Seen(halves, prior, residual, jnp.sum(problem.robustly(residual) ** 2))
 
 
-def loss_at(problem: Problem, z: Array) -> float:
-    """The loss of all rays."""
-    return float(jnp.sum(problem.robustly(problem.stacked(*predicted(problem, z))) ** 2))
-
-
-def settle(problem: Problem, z: Array, steps: int) -> Settled:
-    """Gauss-Newton steps with the Jacobian of all rays at `z`, as long as they lower the loss.
+def settle(problem: Problem, z: Array, seen: Seen) -> Settled:
+    """Gauss-Newton steps with the slopes of fewer rays, as long as they lower the loss of all.
 
     Combinations of parameters that the data do not determine stay where they are. On the host, in double precision.
 
     Args:
         problem: what to solve.
-        z: next to the solution [p].
-        steps: at most; 0 looks and does not move.
+        z: near the solution [p].
+        seen: at z.
     """
-    value, jacobian = linearised(problem, z, False)
-    loss, solved = _solved(problem, value, jacobian)
-    step, distance = solved(value)
-    reached = None
-    while steps > 0 and distance > THERE:
-        trial = z + as_float(step)
-        ahead = predicted(problem, trial)
-        residual = problem.stacked(*ahead)
-        lower = loss(residual)
-        if not lower < loss(value):
-            break
-        z, value, reached, steps = trial, residual, ahead, steps - 1
-        step, distance = solved(residual)
-    halves, prior = predicted(problem, z) if reached is None else reached
-    return Settled(z, halves, prior, jacobian, distance)
+    steps = 0
+    for fewer, enough in ((problem.leading(), NEXT), (problem.steering(), THERE)):
+        jacobian = linearised(fewer, z)
+        step, distance = _step(problem, seen.residual, jacobian)
+        while steps < SETTLING and distance > enough:
+            trial = z + as_float(step)
+            ahead = look(problem, trial)
+            if not ahead.loss < seen.loss:
+                break
+            z, seen, steps = trial, ahead, steps + 1
+            step, distance = _step(problem, seen.residual, jacobian)
+    return Settled(z, seen, jacobian, distance, steps)
 
 
-Solved = tuple[Callable[[Array], float], Callable[[Array], tuple[np.ndarray, float]]]
+def stay(problem: Problem, z: Array, seen: Seen) -> Settled:
+    """As `settle`, with the slopes of all rays and without a step."""
+    jacobian = linearised(problem, z)
+    return Settled(z, seen, jacobian, _step(problem, seen.residual, jacobian)[1], 0)
 
 
-def _solved(problem: Problem, value: Array, jacobian: Array) -> Solved:
-    """The loss of residuals, and the step to the solution with this Jacobian and its distance."""
-    slope = np.asarray(jax.jvp(problem.robustly, (value,), (jnp.ones_like(value),))[1], np.float64)
-    left, singular, right = np.linalg.svd(slope[:, None] * np.asarray(jacobian, np.float64), full_matrices=False)
+def _step(problem: Problem, residual: Array, jacobian: Array) -> tuple[np.ndarray, float]:
+    """The step to the solution of the linearised problem, and its distance."""
+    robust, slope = jax.jvp(problem.robustly, (residual,), (jnp.ones_like(residual),))
+    scaled = np.asarray(slope, np.float64)[:, None] * np.asarray(jacobian, np.float64)
+    left, singular, right = np.linalg.svd(scaled, full_matrices=False)
     known = singular * DETERMINED > 1
-
-    def robust(residual: Array) -> np.ndarray:
-        return np.asarray(problem.robustly(residual), np.float64)
-
-    def solved(residual: Array) -> tuple[np.ndarray, float]:
-        along = left.T @ robust(residual)
-        return -(along[known] / singular[known]) @ right[known], float(np.linalg.norm(along[known]))
-
-    return lambda residual: float(np.sum(robust(residual) ** 2)), solved
+    along = (left.T @ np.asarray(robust, np.float64))[known]
+    return -(along / singular[known]) @ right[known], float(np.linalg.norm(along))

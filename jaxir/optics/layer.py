@@ -15,6 +15,8 @@ import math
 
 import jax
 import jax.numpy as jnp
+from jax import lax
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 SERIES_BELOW = 0.5  # optical depth under which the power series are used
@@ -141,15 +143,25 @@ def through_layer(
     return across_layer(behind, extinction, emission, length)
 
 
-@through_layer.defjvp
 def _through_layer_jvp(primals, tangents):
-    """dR' = exp(-u) dR + l phi1 dj - l (exp(-u) R + l thinning j) dmu + exp(-u) (j - mu R) dl: nothing cancels."""
+    """dR' = exp(-u) dR + l phi1 dj - l (exp(-u) R + l thinning j) dmu + exp(-u) (j - mu R) dl: nothing cancels.
+
+    Its factors are computed once for all tangents; a compiler left alone repeats them for each.
+    """
     behind, extinction, emission, length = primals
-    d_behind, d_extinction, d_emission, d_length = tangents
     u = extinction * length
-    radiance = through_layer(behind, extinction, emission, length)
+    thin, mean, passed = u < SERIES_BELOW, phi1(u), jnp.exp(-u)
+    kept, lost = jnp.where(thin, 1, passed), jnp.where(thin, u * mean, 0)  # as in `attenuate`
     by_extinction = -length * (attenuate(behind, u) + length * thinning(u) * emission)
-    by_length = jnp.exp(-u) * (emission - extinction * behind)
-    return radiance, (
-        attenuate(d_behind, u) + length * phi1(u) * d_emission + by_extinction * d_extinction + by_length * d_length
-    )
+    factors = kept, lost, by_extinction, length * mean, passed * (emission - extinction * behind)
+    kept, lost, *others = lax.optimization_barrier(factors)
+    change = jnp.zeros_like(behind)
+    if not isinstance(tangents[0], SymbolicZero):
+        change = kept * tangents[0] - lost * tangents[0]
+    for factor, tangent in zip(others, tangents[1:], strict=True):
+        if not isinstance(tangent, SymbolicZero):
+            change = change + factor * tangent
+    return through_layer(behind, extinction, emission, length), change
+
+
+through_layer.defjvp(_through_layer_jvp, symbolic_zeros=True)

@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool
 
 from jaxir.geometry.loops import varying
 
-BLOCK = (256, 4096)  # least and most rays that are computed together
-BLOCK_FLOATS = 1 << 17  # values per ray and node in a block: what a processor's cache holds
+BLOCK = (64, 4096)  # least and most rays that are computed together
+BLOCK_FLOATS = 1 << 13  # values per ray and node in a block: what a processor's cache holds
 
 
 def for_active(function: Callable[[Any], Any], active: Bool[Array, " ray"], rays: Any, nodes: int) -> Any:
@@ -29,11 +29,12 @@ def for_active(function: Callable[[Any], Any], active: Bool[Array, " ray"], rays
         nodes: values per ray that `function` returns.
     """
     count = active.shape[0]
-    size = min(max(BLOCK_FLOATS // max(nodes, 1), BLOCK[0]), BLOCK[1], count)
+    most = min(max(BLOCK_FLOATS // max(nodes, 1), BLOCK[0]), BLOCK[1], count)
     upto = jnp.cumsum(active, dtype=jnp.int32)
     number = jnp.arange(count, dtype=jnp.int32)
     place = jnp.where(active, upto - 1, upto[-1] + number - upto)
-    blocks = -(-count // size)
+    blocks = -(-count // most)
+    size = -(-count // blocks)
     order = jnp.zeros(blocks * size, jnp.int32).at[place].set(number, unique_indices=True)
     sorted_rays = jax.tree.map(lambda x: x[order].reshape((blocks, size) + x.shape[1:]), rays)
     function = jax.checkpoint(function)

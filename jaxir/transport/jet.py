@@ -31,7 +31,7 @@ from jaxir._vector import frame_around
 from jaxir.geometry.cone import FLAT, AxisView, inside_cone, view_from_axis
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import Band, Nodes, as_nodes
-from jaxir.optics.layer import through_layer
+from jaxir.optics.layer import across_layer, thinning, through_layer
 from jaxir.optics.phase import AbstractPhase
 from jaxir.scene.jet import JetPlume
 from jaxir.transport.active import for_active
@@ -206,9 +206,9 @@ def _along(medium: JetMedium, chord: _Chord) -> State:
             return extinction * half_panel, emission * half_panel
 
         def panel(state: State, share: Array) -> tuple[State, None]:
+            emitted, passed = state
             (near_u, near_j), (far_u, far_j) = optics(share[0]), optics(share[1])
-            (near_u, far_u), (near_j, far_j) = _apart(near_u, far_u), _apart(near_j, far_j)
-            return _through(_through(state, far_u, far_j), near_u, near_j), None
+            return (_across(emitted, near_u, near_j, far_u, far_j), passed + (near_u + far_u)), None
 
         state, _ = lax.scan(panel, state, shares, reverse=True)
         full = medium.extinction[-1][None, :], medium.emission[-1][None, :]
@@ -223,14 +223,62 @@ def _along(medium: JetMedium, chord: _Chord) -> State:
     return lax.scan(piece, (dark, dark), (begins, ends, core))[0]
 
 
-def _apart(near: Array, far: Array) -> tuple[Array, Array]:
-    """A1, A2 of this file's head; their sum is that of the arguments, none of them is negative."""
+@jax.custom_jvp
+def _across(emitted: Array, near_u: Array, near_j: Array, far_u: Array, far_j: Array) -> Array:
+    """The radiance in front of a panel, which is A2 and before it A1 of this file's head [ray, node]."""
+    shift_u, shift_j = _shift(near_u, far_u)[0], _shift(near_j, far_j)[0]
+    length = jnp.ones_like(emitted)
+    behind = across_layer(emitted, far_u + shift_u, far_j + shift_j, length)
+    return across_layer(behind, near_u - shift_u, near_j - shift_j, length)
+
+
+@_across.defjvp
+def _across_jvp(primals, tangents):
+    """Five factors of the tangents, computed once for all tangents; a compiler left alone repeats them for each.
+
+    A layer has dR' = exp(-u) dR + phi1 dj - (exp(-u) R + thinning j) du, with phi1 = exp(-u) + u thinning.
+    """
+    emitted, near_u, near_j, far_u, far_j = primals
+    shift_u, by_near_u, by_far_u = _shift(near_u, far_u)
+    shift_j, by_near_j, by_far_j = _shift(near_j, far_j)
+
+    def layer(behind: Array, u: Array, j: Array) -> tuple[Array, Array, Array, Array]:
+        kept, bend = jnp.exp(-u), thinning(u)
+        mean = kept + u * bend
+        return kept * behind + mean * j, kept, mean, -(kept * behind + bend * j)
+
+    between, far_kept, far_mean, far_slope = lax.optimization_barrier(layer(emitted, far_u + shift_u, far_j + shift_j))
+    _, kept, mean, slope = lax.optimization_barrier(layer(between, near_u - shift_u, near_j - shift_j))
+    far_mean, far_slope = kept * far_mean, kept * far_slope
+    factors = lax.optimization_barrier(
+        (
+            kept * far_kept,
+            slope + (far_slope - slope) * by_near_u,
+            mean + (far_mean - mean) * by_near_j,
+            far_slope + (far_slope - slope) * by_far_u,
+            far_mean + (far_mean - mean) * by_far_j,
+        )
+    )
+    change = jnp.zeros_like(emitted)
+    for factor, tangent in zip(factors, tangents, strict=True):
+        change = change + factor * tangent
+    return _across(*primals), change
+
+
+def _shift(near: Array, far: Array) -> tuple[Array, Array, Array]:
+    """By how much A1 is less than `near` and A2 more than `far`, and the derivatives of that by both.
+
+    It is x (far - near), times 2 q / (1 + q^2) with the ratio q <= 1 of the two, so that neither layer is negative.
+    """
     large = jnp.maximum(near, far)
     there = large > _DARK
     ratio = jnp.where(there, jnp.minimum(near, far) / jnp.where(there, large, 1), 0)
-    alike = 2 * ratio / (1 + ratio * ratio)
-    shift = _EXTRAPOLATE * alike * (far - near)
-    return near - shift, far + shift
+    inverse = jnp.where(there, 2 / (1 + ratio * ratio), 0)
+    alike = inverse * ratio
+    a, b = jnp.where(near < far, ratio, 1), jnp.where(near < far, 1, ratio)
+    steep = alike * (b - a)
+    by_near, by_far = inverse * (b * (b - 2 * a) - a * steep), inverse * (a * (2 * b - a) - b * steep)
+    return _EXTRAPOLATE * alike * (far - near), _EXTRAPOLATE * by_near, _EXTRAPOLATE * by_far
 
 
 def _through(state: State, depth: Array, emission: Array) -> State:
