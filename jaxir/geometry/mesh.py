@@ -185,7 +185,7 @@ def _face(mesh: Mesh, rays: Rays | Bundle, t_min: Any, t_max: Any, leaving: Arra
     far = None if isinstance(t_max, (int, float)) and t_max == jnp.inf else t_max
     near, far = (None if t is None else jnp.broadcast_to(jnp.asarray(t, dtype), (rays.count,)) for t in (near, far))
     mesh, rays, near, far = lax.stop_gradient((mesh, rays, near, far))
-    if isinstance(rays, Rays) or mesh.tree is None or near is not None or leaving is not None:
+    if isinstance(rays, Rays) or near is not None or leaving is not None:
         return _search_single(mesh, rays, near, far, leaving, any_hit=any_hit)
     return _search_bundle(mesh, rays, far, any_hit=any_hit)
 

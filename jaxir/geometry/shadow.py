@@ -79,8 +79,6 @@ def _occluded_from(mesh: Mesh, point: Array, face: Array, position: Array, activ
         far = jnp.where(active, distance, 0)
         return any_hit(mesh, Rays(point, direction), t_max=far, leaving=face)
 
-    if not tree.children:
-        return alone()
     outside = jnp.sum(jnp.abs(toward) * tree.extent) < 0.99 * distance_of_eye
     inverse_range = 1 / jnp.where(outside, distance_of_eye, 1)
     return lax.cond(outside, lambda: _occluded(mesh, point, face, toward, active, inverse_range), alone)
@@ -93,9 +91,6 @@ def _occluded(
 ) -> Array:
     """The shadow of one bundle of rays, parallel to `toward` or to an eye that lies this way from the tree's centre."""
     tree = mesh.search_tree()
-    if not tree.children:
-        far = jnp.where(active, jnp.inf, 0).astype(point.dtype)
-        return any_hit(mesh, Rays(point, jnp.broadcast_to(toward, point.shape)), t_max=far, leaving=face)
     frame = orthonormal(toward)
     scene = see(tree, tree.centre, frame, inverse_range)
     offset = off_face(tree)

@@ -16,7 +16,6 @@ from jaxir.geometry.tree import WIDTH, Tree
 
 NONE = -2  # the place of no face
 DOUBT = -1  # rounding leaves open whether a face is met that would come first
-_BATCH = 256  # rays tested together against a handful of faces
 _FAR = 3e38
 _ROUNDING = 11.0  # bound of the rounding of an edge's moment, in units of the last place, see `_leaf_hits`
 
@@ -74,12 +73,9 @@ def _search(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]:
         with jax.enable_x64(True):
             return _search_ray(tree, _approach(tree, ray, tree.leaves.dtype), any_hit, settle=False)
 
-    if not tree.children:
-        place = lax.map(one, query, batch_size=_BATCH)
-    else:
-        place = lax.platform_dependent(
-            query, cpu=lambda query: lax.map(one, query), default=lambda query: jax.vmap(one)(query)
-        )
+    place = lax.platform_dependent(
+        query, cpu=lambda query: lax.map(one, query), default=lambda query: jax.vmap(one)(query)
+    )
     place = settled(tree, place, query, lambda ray: ray, any_hit)
     return face_at(tree, place)
 
