@@ -221,7 +221,9 @@ def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> _Vi
     offset = pixel_samples(key, tile.shape[0], samples)
     count = 2 * offset.shape[0]
     screen = jax.vmap(lambda o: camera.screen(tile, o))(offset.reshape((count, *offset.shape[2:])))
-    bundle = camera.bundle(screen.reshape(-1, 2), scene.start(camera))
+    # on the sphere, if that is further out: a jet may grow inside it, see `Observation.holds`
+    start = jnp.maximum(scene.start(camera), scene.radius(camera.target))
+    bundle = camera.bundle(screen.reshape(-1, 2), start)
     rays = bundle.rays()
     reach = jnp.full_like(rays.origin[:, 0], jnp.inf)
     face = jnp.full(reach.shape, -1, jnp.int32)

@@ -23,7 +23,7 @@ from jaxir.geometry.topology import is_closed
 from jaxir.geometry.tree import WIDTH, Tree, build, single_leaf
 from jaxir.geometry.triangle import Hit, corners_of, reattach, unit_normal
 
-HANDFUL = 32  # faces up to which a mesh has no tree and every ray tests every face
+HANDFUL = 32  # faces up to which a mesh has no tree: they are its only leaf
 _LARGEST = 1e9  # [m]; products of three coordinates must not overflow in float32
 _OFFSET = 32.0  # units of the last place of the mesh's size by which a ray leaves a face of an open mesh
 
