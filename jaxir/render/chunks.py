@@ -95,9 +95,12 @@ class Pass(NamedTuple):
 
     @property
     def strata_at_once(self) -> int:
-        """Strata of every pixel that are traced together; a divisor of their number."""
+        """Strata of every pixel that are traced together; the last time some may lie beyond the last stratum.
+
+        As many as cost least, if rays side by side cost as much as their number and one more.
+        """
         count, most = self.strata[0] * self.strata[1], min(STRATA_AT_ONCE, max(self._at_once // 2, 1))
-        return max(some for some in range(1, most + 1) if count % some == 0)
+        return min(range(1, most + 1), key=lambda some: -(-count // some) * (some + 1))
 
     @property
     def tiles_at_once(self) -> int:
@@ -221,7 +224,7 @@ def _estimate(taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], empty
     """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
     optical, camera, _, strata, method, _ = taken
     start = optical.scene.start(camera)
-    size, some = tile.shape[0], taken.strata_at_once
+    size, some, count = tile.shape[0], taken.strata_at_once, strata[0] * strata[1]
 
     def group(carry: tuple[_Seen, Array], first: Array) -> tuple[tuple[_Seen, Array], None]:
         index = first + jnp.arange(some, dtype=jnp.int32)
@@ -242,12 +245,17 @@ def _estimate(taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], empty
             lambda value: optical.nodes.in_band(value).reshape((size, TILE * TILE, some, 2, *value.shape[1:-1], -1)),
             _Seen(radiance, without, orders),
         )
-        mean = jax.tree.map(lambda value: jnp.sum((value[:, :, :, 0] + value[:, :, :, 1]) / 2, axis=2), seen)
+
+        def added(value: Array) -> Array:
+            there = (index < count).reshape((-1, *(1,) * (value.ndim - 3)))[None, None]
+            return jnp.sum(jnp.where(there, value, 0), axis=2)
+
+        mean = jax.tree.map(lambda value: added((value[:, :, :, 0] + value[:, :, :, 1]) / 2), seen)
         apart = seen.radiance[:, :, :, 0] - seen.radiance[:, :, :, 1]
         total, square = carry
-        return (jax.tree.map(jnp.add, total, mean), square + jnp.sum(apart**2, axis=2) / 4), None
+        return (jax.tree.map(jnp.add, total, mean), square + added(apart**2) / 4), None
 
-    count, dark = strata[0] * strata[1], _dark(taken, empty)
+    dark = _dark(taken, empty)
     (total, square), _ = lax.scan(group, (dark, dark.radiance), jnp.arange(0, count, some, dtype=jnp.int32))
     return jax.tree.map(lambda sum: sum / count, total), square / count**2
 
