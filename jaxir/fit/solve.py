@@ -59,7 +59,7 @@ def fit(
     Returns:
         The fit. A solver that fails is reported in it, with the best point kept; nothing is raised for that. Residuals
         are of all rays. Where a jet has so many that fewer lead, standard deviations are of some hundred rays in each
-        row: within 3 % of those of all where they were compared, and 1 % in `studies.fit_plume`.
+        row: within 3.2 % of those of all where they were compared.
 
     Raises:
         ValueError: values out of range; starts outside bounds; fewer data than parameters; a parameter that changes
