@@ -145,12 +145,20 @@ def compare(name, scene, ways, pixel, rtol):
 
 def main():
     grid = [(scene, rtol) for scene in scenes() for rtol in (PATHS if "particles" in scene[0] else TOLERANCES)]
-    rows = [row for scene, rtol in tqdm(grid) if (row := compare(*scene, rtol)) is not None]
     out = out_folder("plan_choice")
+    rows = []
     with open(out / "plan_choice.csv", "w", newline="") as stream:
-        writer = csv.DictWriter(stream, rows[0])
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+        for scene, rtol in tqdm(grid):
+            row = compare(*scene, rtol)
+            jax.clear_caches()  # hundreds of compiled programs would exhaust what one process may map
+            if row is None:
+                continue
+            writer = csv.DictWriter(stream, row)
+            if not rows:
+                writer.writeheader()
+            rows.append(row)
+            writer.writerow({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()})
+            stream.flush()  # a run that is killed keeps its rows
     ratios = np.sort([row["ratio"] for row in rows])
     predicted = np.array([row["predicted_over_elapsed"] for row in rows])
     good = np.mean(ratios <= 1.3)
