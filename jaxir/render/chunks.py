@@ -44,8 +44,9 @@ class Method(eqx.Module):
     scattering: Scattering | None
     path: AbstractPathEstimator
 
+    @eqx.filter_jit
     def checks(self, scene: Scene) -> list[Check]:
-        """The method suits the scene."""
+        """The method suits the scene; compiled, because a closed form looks at every pair of face and vertex."""
         return [] if self.reflection is None else self.reflection.checks(scene)
 
     def samples(self, scene: Scene) -> int:
@@ -147,13 +148,9 @@ def first_pass(
 ) -> Pass:
     """A pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
     strata = pixel_strata(samples)
-    optical = compiled_radiometry(scene, enforce(as_nodes(bands), _checks(scene, camera, method)))
+    checks = [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)]
+    optical = compiled_radiometry(scene, enforce(as_nodes(bands), checks))
     return Pass(optical, camera, key, strata, method, parts)
-
-
-@eqx.filter_jit
-def _checks(scene: Scene, camera: Camera, method: Method) -> list[Check]:
-    return [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)]
 
 
 @eqx.filter_jit
@@ -186,7 +183,7 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     background = optical.scene.background
     uniform = background is None or isinstance(background, AbstractUniformBackground)
     empty = optical.nodes.in_band(empty_radiance(optical, camera.frame[:1, None])) if uniform else None
-    tile, together = taken.tile(chunk), taken.tiles_at_once
+    tile, together, start = taken.tile(chunk), taken.tiles_at_once, optical.scene.start(camera)
     some = may_see(optical.scene.outline(), camera, tile) if uniform else jnp.ones(tile.shape, bool)
     order = jnp.argsort(~some, stable=True)  # tiles that see something go together
 
@@ -199,8 +196,8 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
             return dark._replace(radiance=dark.radiance + empty), dark.radiance
 
         if not uniform:
-            return _estimate(taken, tile, key, empty)
-        return lax.cond(some, lambda: _estimate(taken, tile, key, empty), nothing)
+            return _estimate(taken, tile, key, start, empty)
+        return lax.cond(some, lambda: _estimate(taken, tile, key, start, empty), nothing)
 
     blocks = (-1, together)
     own = jax.random.fold_in(key, chunk)
@@ -220,10 +217,11 @@ def _dark(taken: Pass, empty: Array | None) -> _Seen:
     return _Seen(zero, zero if empty is None else None, orders)
 
 
-def _estimate(taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], empty: Array | None) -> tuple[_Seen, Array]:
+def _estimate(
+    taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], start: Float[Array, ""], empty: Array | None
+) -> tuple[_Seen, Array]:
     """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
     optical, camera, _, strata, method, _ = taken
-    start = optical.scene.start(camera)
     size, some, count = tile.shape[0], taken.strata_at_once, strata[0] * strata[1]
 
     def group(carry: tuple[_Seen, Array], first: Array) -> tuple[tuple[_Seen, Array], None]:
