@@ -10,7 +10,7 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Float, Int
 
-from jaxir.geometry.loops import bits, item, largest, lowest_bit, octant, row, smallest, varying
+from jaxir.geometry.loops import bits, greater, item, largest, lesser, lowest_bit, octant, row, smallest, varying
 from jaxir.geometry.single_search import DOUBT, NONE, Query, face_at, settled
 from jaxir.geometry.tree import FAR, WIDTH, Tree
 
@@ -252,12 +252,12 @@ def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
                 for i in at
             )
             # seen edge-on, as far as rounding can tell: met as near as its nearest corner, and never surely
-            thin = jnp.abs(area) <= jnp.maximum(jnp.maximum(error0, error1), error2)
+            thin = jnp.abs(area) <= greater(greater(error0, error1), error2)
             rise1, rise2 = (jnp.where(thin, 0, item(face.rise, i)) for i in (at[0], at[2]))
-            first = jnp.where(thin, jnp.minimum(jnp.minimum(z0, z1), z2), z0 - (rise1 * error1 - rise2 * error2))
-            margin = 2 * jnp.maximum(jnp.maximum(error0, error1), error2)
+            first = jnp.where(thin, lesser(lesser(z0, z1), z2), z0 - (rise1 * error1 - rise2 * error2))
+            margin = 2 * greater(greater(error0, error1), error2)
             here = rise1 * e1 - rise2 * e2 + first
-            inside = jnp.minimum(jnp.minimum(e0, e1), e2)
+            inside = lesser(lesser(e0, e1), e2)
             index = number * slot + k
             hit = (inside >= 0) & (here < depth)
             if tile.skip is not None:
@@ -340,10 +340,10 @@ def _set_up(scene: SeenTree, leaf: Array, centre: tuple[Array, Array], half: tup
     error = (jnp.abs(a) * (width + grains * jnp.abs(sx)) + jnp.abs(b) * (height + grains * jnp.abs(sy))) / scene.grains
     reach = [size + 1 / scene.grains for size in half]
     overlap = (
-        (jnp.minimum(jnp.minimum(x[opposite], x[start]), x[stop]) <= reach[0])
-        & (jnp.maximum(jnp.maximum(x[opposite], x[start]), x[stop]) >= -reach[0])
-        & (jnp.minimum(jnp.minimum(y[opposite], y[start]), y[stop]) <= reach[1])
-        & (jnp.maximum(jnp.maximum(y[opposite], y[start]), y[stop]) >= -reach[1])
+        (lesser(lesser(x[opposite], x[start]), x[stop]) <= reach[0])
+        & (greater(greater(x[opposite], x[start]), x[stop]) >= -reach[0])
+        & (lesser(lesser(y[opposite], y[start]), y[stop]) <= reach[1])
+        & (greater(greater(y[opposite], y[start]), y[stop]) >= -reach[1])
         & (error > 0)  # not where a face is missing
     )
     parts = [slice(k * slot, (k + 1) * slot) for k in range(3)]

@@ -35,12 +35,29 @@ def bits(flags: Array) -> Int[Array, ""]:
     return jnp.sum(jnp.where(flags, value, jnp.int32(0)), dtype=jnp.int32)
 
 
+def lesser(one: Array, other: Array) -> Array:
+    """The lesser of two numbers in one instruction, where `jnp.minimum` takes three to keep NaN; `other` beside NaN."""
+    return jnp.where(one < other, one, other)
+
+
+def greater(one: Array, other: Array) -> Array:
+    """The greater of two numbers, as `lesser`."""
+    return jnp.where(one > other, one, other)
+
+
 def smallest(values: Float[Array, " lane"]) -> Float[Array, ""]:
-    """Minimum by halving: a reduction of floats is otherwise compiled to a scalar chain."""
+    """Minimum by halving, then as integers of the same order: a reduction of floats is compiled to a scalar chain."""
     while values.shape[0] > 16 and values.shape[0] % 2 == 0:
         half = values.shape[0] // 2
-        values = jnp.minimum(values[:half], values[half:])
-    return jnp.min(values)
+        values = lesser(values[:half], values[half:])
+    kind = jnp.int32 if values.dtype == jnp.float32 else jnp.int64
+    number = lax.bitcast_convert_type(values, kind)
+    return lax.bitcast_convert_type(_turned(jnp.min(_turned(number))), values.dtype)
+
+
+def _turned(number: Array) -> Array:
+    """Bits of floats as integers of the same order, and back."""
+    return number ^ (jnp.right_shift(number, jnp.iinfo(number.dtype).bits - 1) & jnp.iinfo(number.dtype).max)
 
 
 def largest(values: Float[Array, " lane"]) -> Float[Array, ""]:

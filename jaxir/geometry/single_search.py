@@ -11,7 +11,7 @@ from jax import lax
 from jax.custom_batching import custom_vmap, sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir.geometry.loops import bits, item, lowest_bit, octant, row, smallest, varying, where_some
+from jaxir.geometry.loops import bits, greater, item, lesser, lowest_bit, octant, row, varying, where_some
 from jaxir.geometry.tree import WIDTH, Tree
 
 NONE = -2  # the place of no face
@@ -142,10 +142,10 @@ def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Arra
     def meets_boxes(level: int, node: Array, best: Array) -> Array:
         b = row(tree.boxes[level], node).astype(dtype)
         sides = [b[k * WIDTH : (k + 1) * WIDTH] * inverse[k % 3] - shift[k % 3] for k in range(6)]
-        enter = [jnp.minimum(sides[k], sides[k + 3]) for k in range(3)]
-        leave = [jnp.maximum(sides[k], sides[k + 3]) for k in range(3)]
-        start = jnp.maximum(jnp.maximum(enter[0], enter[1]), jnp.maximum(enter[2], near))
-        stop = jnp.minimum(jnp.minimum(leave[0], leave[1]), jnp.minimum(leave[2], best))
+        enter = [lesser(sides[k], sides[k + 3]) for k in range(3)]
+        leave = [greater(sides[k], sides[k + 3]) for k in range(3)]
+        start = greater(greater(enter[0], enter[1]), greater(enter[2], near))
+        stop = lesser(lesser(leave[0], leave[1]), lesser(leave[2], best))
         return bits(start <= stop)
 
     def visit(level: int, node: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -169,10 +169,18 @@ def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Arra
         best, found, doubt = state
         places = number * tree.slots + jnp.arange(tree.slots, dtype=jnp.int32)
         t, unsure = _leaf_hits(row(tree.leaves, number).astype(dtype), ray, places, best, bound, settle)
-        nearest = smallest(t)
-        place = number * tree.slots + lowest_bit(bits(t == nearest))
-        doubt = doubt | jnp.max(unsure.astype(jnp.int32))
-        return jnp.minimum(nearest, best), jnp.where(nearest < best, place, found), doubt
+
+        def nearer(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            mask, best, found = carry
+            which = lowest_bit(mask)
+            distance = item(t, which)
+            closer = distance < best
+            place = number * tree.slots + which
+            return mask & (mask - 1), jnp.where(closer, distance, best), jnp.where(closer, place, found)
+
+        # few faces are met: to look at those costs less than the smallest of all
+        _, best, found = lax.while_loop(lambda carry: carry[0] != 0, nearer, (bits(t < best), best, found))
+        return best, found, doubt | jnp.max(unsure.astype(jnp.int32))
 
     state = varying((far, jnp.full((), NONE, jnp.int32), jnp.zeros((), jnp.int32)), direction[0])
     _, found, doubt = visit(0, jnp.zeros((), jnp.int32), state)
@@ -231,11 +239,11 @@ def _leaf_hits(
     def fold(operation: Callable[..., Array], lanes: Array) -> Array:
         return operation(operation(lanes[parts[0]], lanes[parts[1]]), lanes[parts[2]])
 
-    low, high = fold(jnp.minimum, moment), fold(jnp.maximum, moment)
+    low, high = fold(lesser, moment), fold(greater, moment)
     weight = moment * error
     volume = fold(jnp.add, weight)
     along, against = ray.side >= 0, ray.side <= 0
-    first, last = fold(jnp.minimum, depth), fold(jnp.maximum, depth)
+    first, last = fold(lesser, depth), fold(greater, depth)
     other = places != ray.skip
     if settle:
         blur = fold(jnp.add, error)
