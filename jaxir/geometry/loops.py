@@ -35,14 +35,19 @@ def bits(flags: Array) -> Int[Array, ""]:
     return jnp.sum(jnp.where(flags, value, jnp.int32(0)), dtype=jnp.int32)
 
 
-def lesser(one: Array, other: Array) -> Array:
+def lesser(one: Array, other: Array | float) -> Array:
     """The lesser of two numbers in one instruction, where `jnp.minimum` takes three to keep NaN; `other` beside NaN."""
     return jnp.where(one < other, one, other)
 
 
-def greater(one: Array, other: Array) -> Array:
+def greater(one: Array, other: Array | float) -> Array:
     """The greater of two numbers, as `lesser`."""
     return jnp.where(one > other, one, other)
+
+
+def within(value: Array, low: Array | float, high: Array | float) -> Array:
+    """`value` moved to the nearer end of [low, high] if outside, as `lesser`; `low` instead of NaN."""
+    return lesser(greater(value, low), high)
 
 
 def smallest(values: Float[Array, " lane"]) -> Float[Array, ""]:

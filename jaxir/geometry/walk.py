@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._arrays import require_shape
 from jaxir.geometry.grid import Grid
+from jaxir.geometry.loops import greater, lesser, within
 from jaxir.geometry.ray import Rays
 
 FLAT = 1e-30  # a sideways drift of fewer cells per slab than this never reaches a face: its inverse is not needed
@@ -171,16 +172,16 @@ def slab_segments(walk: Walk, slab: Int[Array, ""], on: Bool[Array, ""]) -> Segm
         far = walk.across[a] + (s + 1) * walk.drift[a]
         # Rounding may carry a coordinate over a face by its last digit. Outside the grid the segment has no length;
         # and a drift of at most one cell never changes the index by two.
-        cell_near = jnp.clip(jnp.floor(near), 0, walk.top[a])
-        cell_far = jnp.clip(jnp.floor(far), jnp.maximum(cell_near - 1, 0), jnp.minimum(cell_near + 1, walk.top[a]))
-        face = jnp.maximum(cell_near, cell_far)
+        cell_near = within(jnp.floor(near), 0, walk.top[a])
+        cell_far = within(jnp.floor(far), greater(cell_near - 1, 0), lesser(cell_near + 1, walk.top[a]))
+        face = greater(cell_near, cell_far)
         cut.append(jnp.where(cell_near == cell_far, 1, (face - near) * walk.inverse[a]))
         before.append(cell_near.astype(jnp.int32) * walk.across_stride[a])
         after.append(cell_far.astype(jnp.int32) * walk.across_stride[a])
-    begin = jnp.clip(walk.enter - s, 0, 1)
-    end = jnp.where(on, jnp.clip(walk.leave - s, 0, 1), begin)
-    first = jnp.clip(jnp.minimum(cut[0], cut[1]), begin, end)
-    second = jnp.clip(jnp.maximum(cut[0], cut[1]), begin, end)
+    begin = within(walk.enter - s, 0, 1)
+    end = jnp.where(on, within(walk.leave - s, 0, 1), begin)
+    first = within(lesser(cut[0], cut[1]), begin, end)
+    second = within(greater(cut[0], cut[1]), begin, end)
     base = walk.base + slab * walk.stride
     between = jnp.where(cut[0] < cut[1], after[0] + before[1], before[0] + after[1])
     return (
