@@ -12,6 +12,7 @@ from jaxir.optics.mie import mie_table
 from jaxir.optics.particles import GrayParticles, Particles, ParticleTable, number_density
 from jaxir.optics.phase import Isotropic
 from jaxir.optics.resolve import resolved_nodes
+from studies.fit_plume import soot_index
 
 pytest.importorskip("miepython")
 
@@ -46,6 +47,14 @@ def test_particle_of_ten_micrometres(x64):
     assert extinction - scattering == pytest.approx([5.787e-3, 2.266e-3, 1.126e-3], abs=6e-7)
     assert scattering / extinction == pytest.approx([0.99760, 0.99908, 0.99954], abs=6e-6)
     assert mean_cosine(table) == pytest.approx([0.605924, 0.572659, 0.247805], abs=2e-6)
+
+
+def test_soot_of_the_plume_study_is_that_measured():
+    # Chang and Charalampopoulos, Proc. R. Soc. Lond. A 430 (1990), table of soot at one height of the flame,
+    # transcribed; the tolerances are how far the paper's polynomials, over all heights, are from it
+    wavelength, n, k = np.array([(1.0, 1.65, 0.50), (2.16, 1.83, 0.75), (3.89, 2.10, 1.11), (6.24, 2.33, 1.41)]).T
+    index = soot_index(wavelength)
+    assert index.real == pytest.approx(n, rel=0.10) and -index.imag == pytest.approx(k, rel=0.17)
 
 
 @pytest.fixture(scope="module")
