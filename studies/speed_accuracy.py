@@ -331,6 +331,20 @@ def fastest(rows: list[dict], goal: float, front: Callable[[str], bool]) -> dict
     return min(scaled, key=lambda row: row["seconds"])
 
 
+def reason(rows: list[dict], fronts: list[str]) -> str:
+    """What each front pays for an image and for each ray per pixel, by a straight line through its seconds."""
+    parts = []
+    for front in fronts:
+        own = [row for row in rows if row["front"] == front]
+        seconds, rays = ([row[name] for row in own] for name in ("seconds", "rays"))
+        if len(own) > 1:
+            each, fixed = np.polyfit(rays, seconds, 1, w=1 / np.array(seconds))
+            parts.append(f"{front}: {1e3 * fixed:.2g} ms an image and {1e3 * each:.2g} ms a ray per pixel")
+        else:
+            parts.append(f"{front}: {1e3 * seconds[0]:.2g} ms for {rays[0]} rays per pixel")
+    return "; ".join(parts)
+
+
 def gradient_ratio(rounds: int) -> float:
     """Time of the gradient of a loss of the aircraft's image in all emissivities over that of the image."""
     azimuth, elevation, width, count = AIRCRAFT
@@ -359,10 +373,14 @@ def gradient_ratio(rounds: int) -> float:
 def goals(rows: list[dict], rounds: int, cases: list[str]) -> list[str]:
     lines = []
 
-    def ratio(case: str, theirs: Callable[[str], bool], ours: Callable[[str], bool]) -> float | None:
+    def verdict(case: str, theirs: Callable[[str], bool], ours: Callable[[str], bool], goal: float, what: str) -> str:
         own = [row for row in rows if row["case"] == case]
         other, mine = fastest(own, GOALS[case], theirs), fastest(own, GOALS[case], ours)
-        return None if other is None or mine is None else other["seconds"] / mine["seconds"]
+        if other is None or mine is None:
+            return f"{what}: not measured"
+        got = other["seconds"] / mine["seconds"]
+        why = f" ({reason(own, [mine['front'], other['front']])})" if got < goal else ""
+        return judge(what, got, goal) + why
 
     def is_exact(front: str) -> bool:
         return front == GIVEN
@@ -382,9 +400,8 @@ def goals(rows: list[dict], rounds: int, cases: list[str]) -> list[str]:
     ]
     for case, theirs, ours, goal, label in asked:
         if case in cases:
-            got = ratio(case, theirs, ours)
             what = f"{case} at {100 * GOALS[case]:g} %, time of {label} over jaxir's"
-            lines.append(f"{what}: not measured" if got is None else judge(what, got, goal))
+            lines.append(verdict(case, theirs, ours, goal, what))
     if "aircraft" in cases:
         lines.append(judge("aircraft, gradient in all emissivities over image", gradient_ratio(rounds), 3.0, False))
     return lines

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import sequential_vmap
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxir.geometry.loops import bits, greater, item, largest, lesser, lowest_bit, octant, row, smallest, varying
 from jaxir.geometry.single_search import DOUBT, NONE, Query, face_at, settled
@@ -30,6 +30,7 @@ class View(NamedTuple):
         target: [3] [m].
         frame: rows u, v, w [3, 3]; w points to the eye.
         inverse_range: [m-1]; None for parallel rays, whose projection then compiles to nothing.
+        start: frame coordinate along w at which rays start [m].
         screen: [ray, 2] [m].
         limit: projected depth before which hits lie [ray] [m]; -inf for an inactive ray. None for no limit.
         skip: place of a face in the tree that is not met, -1 for none [ray]; None when no ray skips any.
@@ -38,23 +39,26 @@ class View(NamedTuple):
     target: Float[Array, " 3"]
     frame: Float[Array, "3 3"]
     inverse_range: Float[Array, ""] | None
+    start: Float[Array, ""]
     screen: Float[Array, "ray 2"]
     limit: Float[Array, " ray"] | None
     skip: Int[Array, " ray"] | None
 
 
-def search_bundle(tree: Tree, view: View, side: int, any_hit: bool) -> Int[Array, " ray"]:
+def search_bundle(tree: Tree, view: View, before: Bool[Array, ""], side: int, any_hit: bool) -> Int[Array, " ray"]:
     """The face that each ray meets first, or with `any_hit` some face that it meets; -1 for none.
 
-    The whole tree must lie before the eye. `side` is +1 to meet only faces seen from their front, -1 only those seen
-    from their back, 0 for both. Under `jax.vmap` views are searched one after another.
+    Tiles are searched where the whole tree lies before the plane on which rays start, as told by `before`; there
+    `side` is +1 to meet only faces seen from their front, -1 only those seen from their back, 0 for both. Otherwise
+    rays are searched one by one, in double precision, for faces of both sides. Under `jax.vmap` views are searched
+    one after another.
     """
 
     @sequential_vmap
-    def search(tree: Tree, view: View) -> Array:
-        return _search(tree, view, side, any_hit)
+    def search(tree: Tree, view: View, before: Array) -> Array:
+        return _search(tree, view, before, side, any_hit)
 
-    return search(tree, view)
+    return search(tree, view, before)
 
 
 def project(depth: Float[Array, "..."], inverse_range: Float[Array, ""] | None) -> Float[Array, "..."]:
@@ -63,7 +67,7 @@ def project(depth: Float[Array, "..."], inverse_range: Float[Array, ""] | None) 
     return depth if inverse_range is None else depth / (1 + depth * inverse_range)
 
 
-def _search(tree: Tree, view: View, side: int, any_hit: bool) -> Int[Array, " ray"]:
+def _search(tree: Tree, view: View, before: Array, side: int, any_hit: bool) -> Int[Array, " ray"]:
     count = view.screen.shape[0]
     size = min(TILE, -(-count // 16) * 16)
     pad = -count % size
@@ -79,31 +83,36 @@ def _search(tree: Tree, view: View, side: int, any_hit: bool) -> Int[Array, " ra
         limit = jnp.full(size, BEYOND, screen.dtype) if limit is None else limit
         return search_tile(scene, Tile(screen[:, 0], screen[:, 1], limit, skip), side, any_hit)
 
-    tiles = (screen, limit, skip)
-    place = lax.platform_dependent(
-        tiles, cpu=lambda tiles: lax.map(one, tiles), default=lambda tiles: jax.vmap(one)(tiles)
-    ).reshape(-1)[:count]
+    def by_tiles() -> Array:
+        return lax.platform_dependent(
+            (screen, limit, skip), cpu=lambda tiles: lax.map(one, tiles), default=lambda tiles: jax.vmap(one)(tiles)
+        ).reshape(-1)[:count]
+
+    def undecided() -> Array:
+        active = jnp.ones(count, bool) if view.limit is None else view.limit > -BEYOND
+        return varying(jnp.where(active, jnp.int32(DOUBT), jnp.int32(NONE)), view.screen)
+
+    place = lax.cond(before, by_tiles, undecided)
     rays = (view.screen, view.limit, view.skip)
-    return face_at(tree, settled(tree, place, rays, lambda ray: _ask(view, side, *ray), any_hit))
+    sign = jnp.where(before, -side, 0)
+    return face_at(tree, settled(tree, place, rays, lambda ray: _ask(view, sign, *ray), any_hit))
 
 
-def _ask(view: View, side: int, screen: Array, limit: Array | None, skip: Array | None) -> Query:
-    """One ray of a view in double precision, from its rows of `screen`, `limit` and `skip`."""
+def _ask(view: View, side: Array, screen: Array, limit: Array | None, skip: Array | None) -> Query:
+    """One ray of a view in double precision, from its rows of `screen`, `limit` and `skip`; `side` as in `Query`."""
     target, x, y = (value.astype(jnp.float64) for value in (view.target, screen[0], screen[1]))
     inverse = jnp.zeros_like(x) if view.inverse_range is None else view.inverse_range.astype(x.dtype)
     u, v, w = dual(view.frame)
     lateral = x * u + y * v
     direction = inverse * lateral - w
     length = jnp.sqrt(jnp.sum(direction * direction))
-    far = jnp.asarray(BEYOND, x.dtype)
+    near, far = -view.start.astype(x.dtype) * length, jnp.asarray(BEYOND, x.dtype)
     if limit is not None:
         depth = limit.astype(x.dtype)
         left = 1 - depth * inverse  # the map's inverse; at or beyond infinity there is no limit
         far = jnp.where((depth < BEYOND) & (left > 0), depth / jnp.where(left > 0, left, 1) * length, BEYOND)
     skip = jnp.full((), -1, jnp.int32) if skip is None else skip
-    return Query(
-        target + lateral, direction / length, -jnp.asarray(BEYOND, x.dtype), far, skip, jnp.asarray(-side, x.dtype)
-    )
+    return Query(target + lateral, direction / length, near, far, skip, side.astype(x.dtype))
 
 
 class SeenTree(NamedTuple):

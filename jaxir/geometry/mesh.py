@@ -209,11 +209,8 @@ def _search_bundle(mesh: Mesh, bundle: Bundle, far: Array | None, any_hit: bool)
 
     @sequential_vmap
     def search(mesh: Mesh, bundle: Bundle, far: Array | None) -> Array:
-        return lax.cond(
-            _before(mesh, bundle),
-            lambda: search_bundle(mesh.search_tree(), bundle_view(bundle, far), side, any_hit),
-            lambda: _search_single(mesh, bundle, None, far, None, any_hit=any_hit),
-        )
+        before = _before(mesh, bundle)
+        return search_bundle(mesh.search_tree(), bundle_view(bundle, far), before, side, any_hit)
 
     return search(mesh, bundle, far)
 
@@ -252,7 +249,7 @@ def bundle_view(bundle: Bundle, far: Float[Array, " ray"] | None) -> View:
         x, y = bundle.screen[:, 0], bundle.screen[:, 1]
         slant = 1 / jnp.sqrt(1 + bundle.inverse_range**2 * (x * x + y * y))
         limit = jnp.where(far > 0, project(far * slant - bundle.start, bundle.inverse_range), -jnp.inf)
-    return View(bundle.target, bundle.frame, bundle.inverse_range, bundle.screen, limit, None)
+    return View(bundle.target, bundle.frame, bundle.inverse_range, bundle.start, bundle.screen, limit, None)
 
 
 def _before(mesh: Mesh, bundle: Bundle) -> Bool[Array, ""]:

@@ -48,6 +48,9 @@ def test_bundle_that_starts_inside_the_mesh_or_looks_from_inside():
         bundle = picture([0.3, -0.8, 0.5], distance, width=1.0, start=start)
         t, _ = every_face(mesh.vertices, faces, bundle.rays())
         assert np.allclose(closest_hit(mesh, bundle).t, t, atol=1e-5)
+        t_max = np.where(np.arange(bundle.count) % 3, np.float32(np.median(t)), 0)  # some rays are inactive
+        limited = closest_hit(mesh, bundle, t_max=jnp.asarray(t_max)).t
+        assert np.isfinite(limited).any() and np.allclose(limited, np.where(t < t_max, t, np.inf), atol=1e-5)
 
 
 @pytest.mark.parametrize("distance", [9.0, np.inf])
