@@ -25,7 +25,9 @@ from jaxir.transport.radiometry import Radiometry, compiled_radiometry
 from jaxir.transport.reflection import Reflection, reflection_of
 from jaxir.transport.scattering import Scattering, scattering_of
 
-TILES_AT_ONCE = 64  # 16384 rays: bounds memory whatever the image
+TILES = 64  # of a chunk at most
+TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in the cache
+BLOCKS = 3  # in which the tiles of a chunk are traced at least, so that those that see nothing are left out
 PARTS = 8  # chunks of a small image, for so many devices to share
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
 STRATA_AT_ONCE = 8  # of a pixel, whose rays are traced side by side: bundles then cover fewer pixels and faces
@@ -106,7 +108,7 @@ class Pass(NamedTuple):
     @property
     def tiles_at_once(self) -> int:
         """Tiles that are traced together, so that rays are at most those of `TILES_AT_ONCE` tiles."""
-        return min(max(self._at_once // (2 * self.strata_at_once), 1), self._share)
+        return min(max(self._at_once // (2 * self.strata_at_once), 1), -(-self._share // BLOCKS))
 
     @property
     def size(self) -> int:
@@ -115,12 +117,16 @@ class Pass(NamedTuple):
 
     @property
     def _at_once(self) -> int:
-        each = -(-self.method.samples(self.optical.scene) // SAMPLES_AT_ONCE)
-        return max(TILES_AT_ONCE // each, 1)
+        return max(TILES_AT_ONCE // self._each, 1)
 
     @property
     def _share(self) -> int:
-        return min(self._at_once, -(-self.tiles // self.parts))
+        return min(max(TILES // self._each, 1), -(-self.tiles // self.parts))
+
+    @property
+    def _each(self) -> int:
+        """Rays that a ray counts for, by the samples that it carries."""
+        return -(-self.method.samples(self.optical.scene) // SAMPLES_AT_ONCE)
 
     @property
     def tiles(self) -> int:

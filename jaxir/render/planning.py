@@ -201,11 +201,12 @@ def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Cho
     more = pilot(first._replace(method=trials[best].method, strata=pixel_strata(count)))
     edge = error_law((FEW, trials[best].pilot), (count, more)).edge
     little = trials[best].pilot.seconds
-    growth = max(more.seconds - little, LEAST_GROWTH * more.seconds) / (count - FEW) / little
+    alike = little - FEW * (more.seconds - little) / (count - FEW)  # what an image costs, however light is found
     choices = []
     for trial in trials:
         samples, seen = (count, more) if trial is trials[best] else (FEW, trial.pilot)
         noise = np.maximum(seen.variance * samples - edge / samples**0.5, 0)
+        growth = max(1 - alike / trial.pilot.seconds, LEAST_GROWTH) / FEW
         choices.append(_choice(trial, ErrorLaw(noise, edge), growth, rtol, most))
     return min(choices, key=lambda choice: _cost(choice, rtol))
 
