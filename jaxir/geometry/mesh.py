@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._arrays import Check, as_float, enforce, finite
@@ -206,13 +205,7 @@ def _search_single(
 def _search_bundle(mesh: Mesh, bundle: Bundle, far: Array | None, any_hit: bool) -> Array:
     # seen from beyond a closed mesh, the first face met looks at the eye
     side = 1 if mesh.closed else 0
-
-    @sequential_vmap
-    def search(mesh: Mesh, bundle: Bundle, far: Array | None) -> Array:
-        before = _before(mesh, bundle)
-        return search_bundle(mesh.search_tree(), bundle_view(bundle, far), before, side, any_hit)
-
-    return search(mesh, bundle, far)
+    return search_bundle(mesh.search_tree(), bundle_view(bundle, far), _before(mesh, bundle), side, any_hit)
 
 
 def _query(mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array, leaving: Array | None) -> Query:
