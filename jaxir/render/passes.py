@@ -68,7 +68,7 @@ def render(
             device; for more than `PARTS` = 8 devices and fewer than 8 full chunks they are drawn anew.
 
     Returns:
-        The image. Memory beyond it is bounded by `TILES_AT_ONCE` tiles of 256 rays.
+        The image. Memory beyond it is bounded by the rays of `TILES_AT_ONCE` tiles, 256 each.
 
     Raises:
         ValueError: wrong shapes, values out of range, an eye inside the scene, `rtol` inside jit, <= 0 or beyond
