@@ -261,17 +261,17 @@ def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
                 for i in at
             )
             # seen edge-on, as far as rounding can tell: met as near as its nearest corner, and never surely
-            thin = jnp.abs(area) <= greater(greater(error0, error1), error2)
+            error = greater(greater(error0, error1), error2)
+            thin = jnp.abs(area) <= error
             rise1, rise2 = (jnp.where(thin, 0, item(face.rise, i)) for i in (at[0], at[2]))
             first = jnp.where(thin, lesser(lesser(z0, z1), z2), z0 - (rise1 * error1 - rise2 * error2))
-            margin = 2 * greater(greater(error0, error1), error2)
             here = rise1 * e1 - rise2 * e2 + first
             inside = lesser(lesser(e0, e1), e2)
             index = number * slot + k
             hit = (inside >= 0) & (here < depth)
             if tile.skip is not None:
                 hit = hit & (tile.skip != index)
-            sure = inside >= margin
+            sure = inside >= 2 * error
             code = jnp.where(sure, index, jnp.int32(DOUBT))
             if any_hit:
                 return jnp.where(hit & sure, -BEYOND, depth), jnp.where(hit, jnp.maximum(code, place), place)

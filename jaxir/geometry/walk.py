@@ -76,9 +76,9 @@ def _inside(across: Array, drift: Array, count: Array) -> tuple[Array, Array]:
     flat = drift == 0
     safe = jnp.where(flat, 1, drift)
     at_low, at_high = -across / safe, (count - across) / safe
-    within = (across >= 0) & (across < count)
-    low = jnp.where(flat, jnp.where(within, -jnp.inf, jnp.inf), jnp.minimum(at_low, at_high))
-    high = jnp.where(flat, jnp.where(within, jnp.inf, -jnp.inf), jnp.maximum(at_low, at_high))
+    held = (across >= 0) & (across < count)
+    low = jnp.where(flat, jnp.where(held, -jnp.inf, jnp.inf), jnp.minimum(at_low, at_high))
+    high = jnp.where(flat, jnp.where(held, jnp.inf, -jnp.inf), jnp.maximum(at_low, at_high))
     return low, high
 
 
