@@ -34,6 +34,7 @@ class _State(eqx.Module):
 
     trial: Float[Array, " p"]
     loss: Float[Array, ""]
+    left: Float[Array, "row k"]
     singular: Float[Array, " k"]
     right: Float[Array, "k p"]
     along: Float[Array, " k"]
@@ -43,6 +44,11 @@ class _State(eqx.Module):
     first: Bool[Array, ""]
     done: Bool[Array, ""]
     result: Any
+
+    @property
+    def jacobian(self) -> Float[Array, "row p"]:
+        """At the point it holds."""
+        return (self.left * self.singular[None, :]) @ self.right
 
 
 class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
@@ -67,6 +73,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         return _State(
             trial=y,
             loss=zero,
+            left=jnp.zeros((f_struct.shape[0], rank), y.dtype),
             singular=jnp.zeros(rank, y.dtype),
             right=jnp.zeros((rank, y.shape[0]), y.dtype),
             along=jnp.zeros(rank, y.dtype),
@@ -87,14 +94,14 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         ratio = (state.loss - loss) / jnp.where(state.first, 1, state.predicted)
         taken = state.first | (ratio > LEAST_RATIO)
 
-        def linearised() -> tuple[Array, Array, Array, Array]:
+        def linearised() -> tuple[Array, ...]:
             basis = jnp.eye(y.shape[0], dtype=y.dtype)
             jacobian = jax.vmap(lambda t: jax.jvp(lambda y: fn(y, args)[0], (state.trial,), (t,))[1], out_axes=1)(basis)
             left, singular, right = jnp.linalg.svd(jacobian, full_matrices=False)
-            return loss, singular, right, left.T @ residual
+            return loss, left, singular, right, left.T @ residual
 
-        held = state.loss, state.singular, state.right, state.along
-        held_loss, singular, right, along = lax.cond(taken, linearised, lambda: held)
+        held = state.loss, state.left, state.singular, state.right, state.along
+        held_loss, left, singular, right, along = lax.cond(taken, linearised, lambda: held)
         shrunk = state.damping * jnp.maximum(1 / 3, 1 - (2 * jnp.minimum(ratio, 1) - 1) ** 3)
         damping = jnp.where(taken, shrunk, state.damping * state.growth)
         damping = jnp.where(state.first, START * jnp.max(singular, initial=0) ** 2, damping)
@@ -115,6 +122,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             _State(
                 trial=here + delta,
                 loss=held_loss,
+                left=left,
                 singular=singular,
                 right=right,
                 along=along,

@@ -78,6 +78,11 @@ class Problem(eqx.Module):
         """The same problem with the rays that tell slopes near a solution."""
         return eqx.tree_at(lambda p: p.observations, self, tuple(o.fewer(o.steering) for o in self.observations))
 
+    def completed(self, every: tuple[Array, ...], own: tuple[Array, ...]) -> Problem:
+        """The same problem, whose predictions are raised by what `every` residual is above its `own` at some point."""
+        pairs = zip(self.observations, every, own, strict=True)
+        return eqx.tree_at(lambda p: p.observations, self, tuple(o.raised(more - less) for o, more, less in pairs))
+
     def stacked(self, halves: tuple[Array, ...], prior: Array) -> Float[Array, " row"]:
         """One vector of the mean of both halves and the priors."""
         return jnp.concatenate([*(half.mean(axis=0).reshape(-1) for half in halves), prior])

@@ -21,7 +21,7 @@ from jaxir.fit.parameter import AbstractParameter, Coordinates, at_values
 from jaxir.fit.prior import AbstractPrior
 from jaxir.fit.problem import Problem, prepare
 from jaxir.fit.result import Fit, Uncertainty, uncertainty
-from jaxir.fit.walk import MISLED, linearised, look, settle, stay, walk
+from jaxir.fit.walk import MISLED, approach, linearised, look, settle, stay, walk
 from jaxir.scene.scene import Scene
 
 LEAP = 1.0  # natural steps from where rays were traced beyond which they are not asked where to trace next
@@ -58,8 +58,9 @@ def fit(
 
     Returns:
         The fit. A solver that fails is reported in it, with the best point kept; nothing is raised for that. Residuals
-        are of all rays. Where a jet has so many that fewer lead, standard deviations are of some hundred rays in each
-        row: within 3.2 % of those of all where they were compared.
+        are of all rays. Where a jet has so many that fewer lead, the solution is within a tenth of a standard deviation
+        of that of all, residuals change as those of the fewer over the last steps, and standard deviations are of some
+        hundred rays in each row: within 0.6 % of those of all where they were compared.
 
     Raises:
         ValueError: values out of range; starts outside bounds; fewer data than parameters; a parameter that changes
@@ -96,16 +97,20 @@ def solve(
     both = jnp.array([True, False])
     for traced in range(1, rounds + 1):
         if leads:
-            walked = walk(problem.leading(), begin, size, solver, max_steps, both[:1])
+            judge, walked = problem.steering(), walk(problem.leading(), begin, size, solver, max_steps, both[:1])
         else:
-            walked = walk(problem, begin, size, solver, max_steps, both)
-        ends = [look(problem, z) for z in walked.end]
+            judge, walked = problem, walk(problem, begin, size, solver, max_steps, both)
+        ends = [look(judge, z) for z in walked.end]
         losses = np.array([float(end.loss) for end in ends])
         best = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
         z, seen, steps, result = walked.end[best], ends[best], int(walked.steps[best]), _pick(walked.result, best)
         if not bool(result == optx.RESULTS.successful):  # the best point is kept
-            before = look(problem, begin[best])
+            before = look(judge, begin[best])
             z, seen = (z, seen) if seen.loss < before.loss else (begin[best], before)
+        if leads:
+            assert walked.jacobian is not None  # of our own solver
+            z, seen, more = approach(problem, z, seen, walked.jacobian[best])
+            steps += more
         reached = losses if traced == 1 else reached
         scene = coordinates.scene(coordinates.values(z))
         share = effective_share(problem, scene)

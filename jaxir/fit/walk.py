@@ -1,10 +1,16 @@
 """From starts to the solution of a prepared fit.
 
 A first walk of the solver on logarithmic residuals leads near the solution, a second on the ordinary ones to it. Where
-fewer rays lead, see `Observation`, there is only the first, on those alone, and `settle` goes the rest with residuals
-of all rays and slopes of fewer: a step costs one evaluation of all rays. An error E of the slopes leaves its share of
-the distance, and at the solution, where J^T r = 0, a distance of |E^T r| that is not seen: with residuals r of some
-standard deviations and the slopes of the rays that steer, some hundredths of one.
+fewer rays lead, see `Observation`, there is only the first, on the fewest; `approach` goes on to the minimum of those
+that steer; and `settle` evaluates all rays there, adds to the prediction p of those that steer what they lack there,
+
+    p(z) + P(z0) - p(z0),
+
+with P of all rays, and goes on to the minimum of that: as multipoint or multifidelity methods correct a cheap model by
+one value of the dear one (Alexandrov et al., "Approximation and model management in aerodynamic optimization with
+variable-fidelity models", J. Aircraft 38(6), 2001). An error E of the slopes leaves its share of the way from z0, and
+at the solution, where J^T r = 0, a distance of |E^T r| that is not seen: with residuals r of some standard deviations
+and the slopes of the rays that steer, a tenth of one or less.
 """
 
 from __future__ import annotations
@@ -23,23 +29,34 @@ from jaxir._arrays import as_float
 from jaxir.fit.descent import LevenbergMarquardt
 from jaxir.fit.problem import Problem, value_and_jacobian, with_jacobian
 
-NEAR, THERE = 1.0, 0.03  # distance from the solution at which walks end [standard deviations]
+NEAR, THERE = 3.0, 0.03  # distance from the solution at which walks end [standard deviations]
 MISLED = 0.3  # distance at which fewer rays have led to the wrong place
-NEXT = 1.0  # distance up to which the slopes of the rays that lead are good enough
-SETTLING = 8  # steps of `settle` at most
-DETERMINED = 1.0  # standard deviation in natural steps up to which `settle` moves a combination of parameters
+APPROACHED = 2.0  # distance from the minimum of the rays that steer at which to ask all rays
+SETTLED = 0.1  # distance from the minimum of all rays that may be left
+SLOPES = 0.03  # error of the slopes of the rays that steer, as a share of the way from where all were evaluated
+LOOKS = 4  # evaluations of all rays at most
+STEPS = 8  # towards the minimum of the rays that steer at most, each time
+DETERMINED = 1.0  # standard deviation in natural steps up to which these move a combination of parameters
 
 
 class Walked(NamedTuple):
-    """Where walks from all starts ended [start, p], their steps and result codes [start]."""
+    """Where walks from all starts ended.
+
+    Attributes:
+        end: z [start, p].
+        steps: [start].
+        result: codes [start].
+        jacobian: of the residuals walked, there [start, row, p]; None where another solver walked.
+    """
 
     end: Array
     steps: Array
     result: optx.RESULTS
+    jacobian: Array | None
 
 
 class Seen(NamedTuple):
-    """Residuals of all rays at a point: of both halves per measurement and of the priors; and their loss."""
+    """Residuals at a point: of both halves of the rays per measurement and of the priors; and their loss."""
 
     halves: tuple[Array, ...]
     prior: Array
@@ -89,7 +106,8 @@ def walk(
         )
         end = begin + found.value / size
         end = jnp.where(jnp.isfinite(end).all(), end, begin)
-        return end, Walked(end, found.stats["num_steps"], found.result)
+        jacobian = found.state.jacobian * size[None, :] if solver is None else None
+        return end, Walked(end, found.stats["num_steps"], found.result, jacobian)
 
     def one(start: Array) -> Walked:
         walks = lax.scan(one_walk, start, flat)[1]
@@ -109,38 +127,76 @@ def linearised(problem: Problem, z: Array) -> Float[Array, "row p"]:
 
 @eqx.filter_jit
 def look(problem: Problem, z: Array) -> Seen:
-    """What all rays say of a point."""
+    """What the rays of a problem say of a point."""
     halves, prior = problem.halves(z), problem.prior(z)
     residual = problem.stacked(halves, prior)
     return Seen(halves, prior, residual, jnp.sum(problem.robustly(residual) ** 2))
 
 
-def settle(problem: Problem, z: Array, seen: Seen) -> Settled:
-    """Gauss-Newton steps with the slopes of fewer rays, as long as they lower the loss of all.
-
-    Combinations of parameters that the data do not determine stay where they are. On the host, in double precision.
+def approach(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[Array, Seen, int]:
+    """From near the solution to about the minimum of the rays that steer.
 
     Args:
         problem: what to solve.
         z: near the solution [p].
-        seen: at z.
+        seen: of the rays that steer, at z.
+        jacobian: of those that lead, at z.
+
+    Returns:
+        A point, what the rays that steer say of it, and steps taken.
+    """
+    z, seen, _, steps = _descend(problem.steering(), z, seen, jacobian, APPROACHED)
+    return z, seen, steps
+
+
+def settle(problem: Problem, z: Array, seen: Seen) -> Settled:
+    """From about the minimum of the rays that steer to that of all rays.
+
+    Args:
+        problem: what to solve.
+        z: about the minimum of the rays that steer [p].
+        seen: of them, at z.
+
+    Returns:
+        Where it ended. Residuals are those of all rays at the last point where they were evaluated, and from there on
+        change as those of the rays that steer.
+    """
+    fewer, total = problem.steering(), 0
+    for _ in range(LOOKS):
+        begin, every = z, look(problem, z)
+        fewer = fewer.completed(every.halves, seen.halves)
+        jacobian = linearised(fewer, z)
+        z, seen, left, steps = _descend(fewer, z, every, jacobian, THERE)
+        total += steps
+        way = np.asarray(jacobian, np.float64) @ np.asarray(z - begin, np.float64)
+        distance = left + SLOPES * float(np.linalg.norm(way))
+        if distance <= SETTLED:
+            break
+    return Settled(z, seen, jacobian, distance, total)
+
+
+def _descend(problem: Problem, z: Array, seen: Seen, jacobian: Array, enough: float) -> tuple[Array, Seen, float, int]:
+    """Gauss-Newton steps with slopes that stay, as long as they lower the loss; on the host, in double precision.
+
+    Combinations of parameters that the data do not determine stay where they are.
+
+    Returns:
+        The point, what is seen there, the distance that is left, steps taken.
     """
     steps = 0
-    for fewer, enough in ((problem.leading(), NEXT), (problem.steering(), THERE)):
-        jacobian = linearised(fewer, z)
+    step, distance = _step(problem, seen.residual, jacobian)
+    while steps < STEPS and distance > enough:
+        trial = z + as_float(step)
+        ahead = look(problem, trial)
+        if not ahead.loss < seen.loss:
+            break
+        z, seen, steps = trial, ahead, steps + 1
         step, distance = _step(problem, seen.residual, jacobian)
-        while steps < SETTLING and distance > enough:
-            trial = z + as_float(step)
-            ahead = look(problem, trial)
-            if not ahead.loss < seen.loss:
-                break
-            z, seen, steps = trial, ahead, steps + 1
-            step, distance = _step(problem, seen.residual, jacobian)
-    return Settled(z, seen, jacobian, distance, steps)
+    return z, seen, distance, steps
 
 
 def stay(problem: Problem, z: Array, seen: Seen) -> Settled:
-    """As `settle`, with the slopes of all rays and without a step."""
+    """A point, with the slopes of all rays there."""
     jacobian = linearised(problem, z)
     return Settled(z, seen, jacobian, _step(problem, seen.residual, jacobian)[1], 0)
 
