@@ -8,11 +8,13 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Array
 
 from jaxir.render.chunks import Estimate, Pass, estimate_chunk
 
 CHUNKS = 8  # of a pilot; all of a small image
 SECONDS = 2.0  # after which a pilot takes no more chunks
+QUICK = 0.01  # seconds up to which a chunk is timed twice: other work may disturb it
 
 
 class Pilot(NamedTuple):
@@ -39,14 +41,20 @@ def pilot(taken: Pass) -> Pilot:
     compiled = time.perf_counter() - start
     sums, times = [], []
     for index in np.unique(np.linspace(0, len(chunks) - 1, CHUNKS).astype(int)):
-        began = time.perf_counter()
-        estimate = jax.block_until_ready(estimate_chunk(taken, chunks[index]))
-        times.append(time.perf_counter() - began)
+        estimate, spent = _timed(taken, chunks[index])
+        times.append(spent if spent > QUICK else min(spent, _timed(taken, chunks[index])[1]))
         sums.append(_contribution(taken, int(index), estimate))
         if sum(times) > SECONDS:
             break
     intensity, variance = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
-    return Pilot(intensity, variance, float(np.median(times)) * len(chunks), compiled)
+    return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled)
+
+
+def _timed(taken: Pass, chunk: Array) -> tuple[Estimate, float]:
+    """A chunk, and the seconds that it took."""
+    began = time.perf_counter()
+    estimate = jax.block_until_ready(estimate_chunk(taken, chunk))
+    return estimate, time.perf_counter() - began
 
 
 def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:

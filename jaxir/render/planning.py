@@ -163,6 +163,7 @@ class _Trial(NamedTuple):
 
 class _Choice(NamedTuple):
     trial: _Trial
+    law: ErrorLaw
     samples: int
     seconds: float
     expected: float
@@ -192,7 +193,7 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
 def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Choice:
     """First as if all variance were that of lights; then with the silhouettes' share, from a second pilot."""
     some = [ErrorLaw(trial.pilot.variance * FEW, np.zeros_like(trial.pilot.variance)) for trial in trials]
-    choices = [_choice(trial, law, None, rtol, most) for trial, law in zip(trials, some, strict=True)]
+    choices = [_choice(trial, law, 1 / FEW, rtol, most) for trial, law in zip(trials, some, strict=True)]
     best = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
     chosen = choices[best]
     if chosen.samples == FEW:
@@ -201,14 +202,19 @@ def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Cho
     more = pilot(first._replace(method=trials[best].method, strata=pixel_strata(count)))
     edge = error_law((FEW, trials[best].pilot), (count, more)).edge
     little = trials[best].pilot.seconds
-    alike = little - FEW * (more.seconds - little) / (count - FEW)  # what an image costs, however light is found
+    each = (more.seconds - little) / (count - FEW)
+    alike = little - FEW * each  # what an image costs, however light is found
     choices = []
     for trial in trials:
         samples, seen = (count, more) if trial is trials[best] else (FEW, trial.pilot)
         noise = np.maximum(seen.variance * samples - edge / samples**0.5, 0)
         growth = max(1 - alike / trial.pilot.seconds, LEAST_GROWTH) / FEW
         choices.append(_choice(trial, ErrorLaw(noise, edge), growth, rtol, most))
-    return min(choices, key=lambda choice: _cost(choice, rtol))
+    cheapest = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
+    if cheapest != best:
+        return choices[cheapest]
+    growth = max(each / little, LEAST_GROWTH / (count - FEW))  # was timed with more rays
+    return _choice(trials[best], choices[best].law, growth, rtol, most)
 
 
 def _cost(choice: _Choice, rtol: float) -> tuple[bool, float]:
@@ -216,14 +222,14 @@ def _cost(choice: _Choice, rtol: float) -> tuple[bool, float]:
     return choice.expected > rtol, choice.seconds
 
 
-def _choice(trial: _Trial, law: ErrorLaw, growth: float | None, rtol: float, most: int) -> _Choice:
+def _choice(trial: _Trial, law: ErrorLaw, growth: float, rtol: float, most: int) -> _Choice:
     """Rays per pixel and time that a method needs; `growth` of the time with each ray more, in that of a pilot."""
     intensity = np.abs(trial.pilot.intensity)
     samples = law.samples((MARGIN * rtol * intensity) ** 2, most)
-    each = 1 / FEW if growth is None else growth
     error = np.sqrt(law.variance(samples))
     expected = float(np.max(np.divide(error, intensity, out=np.full_like(error, np.inf), where=intensity > 0)))
-    return _Choice(trial, samples, trial.pilot.seconds * (1 + each * (samples - FEW)), expected if error.any() else 0.0)
+    seconds = trial.pilot.seconds * (1 + growth * (samples - FEW))
+    return _Choice(trial, law, samples, seconds, expected if error.any() else 0.0)
 
 
 def _along_the_ray(optical: Radiometry, camera: Camera, method: Method) -> list[Term]:
