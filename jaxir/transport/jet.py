@@ -198,19 +198,17 @@ def _along(medium: JetMedium, chord: _Chord) -> State:
         begin, end, core = bounds
         spread = _spread(jet, chord.view, begin, end)
 
-        def optics(share: Array) -> tuple[Array, Array]:
+        def at(share: Array) -> tuple[Array, Array]:
             s, stretch = spread.place(share)
-            fraction = jet.fraction(chord.view.z(s), chord.view.r_squared(s))
-            half_panel = (stretch / (2 * jet.panels))[:, None]
-            extinction, emission = _look_up(medium, fraction)
-            return extinction * half_panel, emission * half_panel
+            return jet.fraction(chord.view.z(s), chord.view.r_squared(s)), stretch / (2 * jet.panels)
 
-        def panel(state: State, share: Array) -> tuple[State, None]:
+        def panel(state: State, points: tuple[Array, Array]) -> tuple[State, None]:
             emitted, passed = state
-            (near_u, near_j), (far_u, far_j) = optics(share[0]), optics(share[1])
+            (near_u, near_j), (far_u, far_j) = (_layer(medium, points[0][i], points[1][i]) for i in (0, 1))
             return (_across(emitted, near_u, near_j, far_u, far_j), passed + (near_u + far_u)), None
 
-        state, _ = lax.scan(panel, state, shares, reverse=True)
+        points = jax.vmap(jax.vmap(at))(shares)  # of all panels first: else each node would find them anew
+        state, _ = lax.scan(panel, state, points, reverse=True)
         full = medium.extinction[-1][None, :], medium.emission[-1][None, :]
         return _through(state, core[:, None] * full[0], core[:, None] * full[1]), None
 
@@ -288,9 +286,10 @@ def _through(state: State, depth: Array, emission: Array) -> State:
     return through_layer(emitted, depth, emission, jnp.ones_like(emitted)), passed + depth
 
 
-def _look_up(medium: JetMedium, fraction: Float[Array, " ray"]) -> tuple[Array, Array]:
-    """Extinction and emission [ray, node]."""
-    return _between(medium.extinction, fraction), _between(medium.emission, fraction)
+def _layer(medium: JetMedium, fraction: Float[Array, " ray"], length: Float[Array, " ray"]) -> tuple[Array, Array]:
+    """Extinction and emission times a length [ray, node]."""
+    extinction, emission = _between(medium.extinction, fraction), _between(medium.emission, fraction)
+    return extinction * length[:, None], emission * length[:, None]
 
 
 def _between(table: Float[Array, "knot node"], fraction: Float[Array, " ray"]) -> Float[Array, "ray node"]:
