@@ -131,6 +131,8 @@ def main(argv: list[str]) -> None:
             panel.loglog(work, memory / 1e3, "s--", label=f"GB of a chunk, exponent {growth:.2f}")
             said[-1] += f" (memory {growth:.2f})"
         panel.set(xlabel=name)
+        panel.set_xticks(work, [f"{w:.2g}" for w in work])
+        panel.xaxis.minorticks_off()
         panel.legend()
     figure.savefig(chosen.out / "scaling.png", dpi=90)
     plt.close(figure)

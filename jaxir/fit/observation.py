@@ -34,7 +34,7 @@ from jaxir.transport.reflection import Reflection, reflection_of
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 SLICE = 64  # rays in a slice, at most
-LEADING = 64  # rays of each half of a row that lead a jet near the solution: a slice
+LEADING = 32  # rays of each half of a row that lead a jet near the solution
 STEERING = 448  # that tell the slopes there: standard deviations within 0.6 % of those of all where compared
 CURVE = 12  # bits of the raster, along the longer side of an image, on which rays are put in order
 ROUND = 8  # slices of a chunk are a multiple of it, so that a few rays more or less compile nothing anew
@@ -390,6 +390,7 @@ def _layout(group: np.ndarray, nodes: Nodes) -> tuple[np.ndarray, np.ndarray, np
     chunks = -(-begin.size * places * nodes.count // RAYS_BY_NODES)
     each = -(-begin.size // chunks)
     each = -(-each // ROUND) * ROUND
+    chunks = -(-begin.size // each)
     begin, end = (np.pad(edge, (0, chunks * each - edge.size)).reshape(chunks, each) for edge in (begin, end))
     place = begin[..., None] + np.arange(places)
     gap = place >= end[..., None]
