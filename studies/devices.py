@@ -1,7 +1,8 @@
 """How much faster is a signature on two cores, shared among the devices of a mesh?
 
-The aircraft in the sun from 32 aspects, 128 x 128 pixels, on 1 and on 2 virtual devices of this CPU, each of which
-runs on a core of its own: elapsed seconds, medians of interleaved rounds without compilation.
+The aircraft in the sun from 32 aspects, in small views and in larger ones, on 1 and on 2 virtual devices of this CPU,
+each of which runs on a core of its own, while one device alone has helpers on the other: elapsed seconds, medians of
+interleaved rounds without compilation.
 """
 
 import argparse
@@ -22,7 +23,8 @@ import jaxir  # noqa: E402
 from studies.aircraft import generic_aircraft  # noqa: E402
 from studies.charts import out_folder  # noqa: E402
 
-VIEWS, ROUNDS = 32, 5
+VIEWS, ROUNDS = 32, 7
+SIZES = ((128, 2), (256, 8))  # rows and columns, rays per pixel
 
 
 def main(argv: list[str]) -> None:
@@ -35,33 +37,44 @@ def main(argv: list[str]) -> None:
     views = np.stack([np.linspace(0, 180, VIEWS), np.zeros(VIEWS)], 1)
     meshes = {n: jax.sharding.Mesh(np.array(jax.devices()[:n]), ("devices",)) for n in range(1, COUNT + 1)}
 
-    def run(count: int) -> jaxir.Signature:
-        return jax.block_until_ready(jaxir.signature(scene, views, jaxir.MWIR, devices=meshes[count]))
+    def run(count: int, size: int, samples: int) -> jaxir.Signature:
+        raster = {"shape": (size, size), "samples": samples}
+        return jax.block_until_ready(jaxir.signature(scene, views, jaxir.MWIR, devices=meshes[count], **raster))
 
-    tables = {count: run(count) for count in meshes}
-    apart = max(float(abs(t.intensity / tables[1].intensity - 1).max()) for t in tables.values())
-    times = {count: [] for count in meshes}
+    cases = [(count, *size) for size in SIZES for count in meshes]
+    tables = {case: run(*case) for case in cases}
+    apart = max(float(abs(t.intensity / tables[1, *case[1:]].intensity - 1).max()) for case, t in tables.items())
+    times, busy = ({case: [] for case in cases} for _ in range(2))
     for _ in range(ROUNDS):
-        for count in meshes:
-            began = time.perf_counter()
-            run(count)
-            times[count].append(time.perf_counter() - began)
+        for case in cases:
+            began, spent = time.perf_counter(), time.process_time()
+            run(*case)
+            times[case].append(time.perf_counter() - began)
+            busy[case].append((time.process_time() - spent) / times[case][-1])
+    figure, axis = plt.subplots(figsize=(4.5, 4), layout="constrained")
     counts = np.array(list(meshes))
-    medians = np.array([np.median(times[count]) for count in meshes])
-    speed = medians[0] / medians
+    rows, said = [], []
+    for size, samples in SIZES:
+        medians = np.array([np.median(times[count, size, samples]) for count in meshes])
+        speed = medians[0] / medians
+        cores = [np.median(busy[count, size, samples]) for count in meshes]
+        columns = zip(counts, medians, speed, cores, strict=True)
+        rows += [(n, size, samples, f"{t:.4g}", f"{s:.3g}", f"{c:.3g}") for n, t, s, c in columns]
+        said.append(
+            f"{speed[-1]:.2f} times ({1e3 * medians[0] / VIEWS:.0f} ms a view, {cores[0]:.2f} cores busy with one)"
+        )
+        axis.plot(counts, speed, "o-", label=f"{size} x {size} pixels, {samples} rays")
     with open(chosen.out / "devices.csv", "w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["devices", "seconds", "speedup"])
-        writer.writerows([n, f"{t:.4g}", f"{s:.3g}"] for n, t, s in zip(counts, medians, speed, strict=True))
-    figure, axis = plt.subplots(figsize=(4.5, 4), layout="constrained")
-    axis.plot(counts, speed, "o-", label="measured")
+        writer.writerow(["devices", "pixels", "rays", "seconds", "speedup", "cores_busy"])
+        writer.writerows(rows)
     axis.plot(counts, counts, "--", color="0.6", label="linear")
     axis.set(xlabel="devices", ylabel="speed-up", xticks=counts)
     axis.legend()
     figure.savefig(chosen.out / "devices.png", dpi=90)
     plt.close(figure)
     print(
-        f"{COUNT} devices are {speed[-1]:.2f} times as fast as one and agree to {apart:.1e}; load of the machine "
+        f"{COUNT} devices are {' and '.join(said)} as fast as one and agree to {apart:.1e}; load of the machine "
         f"before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     )
 

@@ -98,6 +98,33 @@ def axes(full: bool):
     yield "views", (2, 8, 32), lambda n: (n, *sweep(n))
 
 
+def chart(rows: list[dict], out: Path) -> list[str]:
+    """Time and memory along every axis, with the exponents between the last two steps."""
+    names = list(dict.fromkeys(row["axis"] for row in rows))
+    figure, panels = plt.subplots(2, 3, figsize=(13, 7), layout="constrained")
+    said = []
+    for panel, name in zip(panels.ravel(), names, strict=True):
+        own = [row for row in rows if row["axis"] == name]
+        work, seconds, memory = (
+            np.array([row[k] for row in own], float) for k in ("work", "seconds", "chunk_megabytes")
+        )
+        slope = np.log(seconds[-1] / seconds[-2]) / np.log(work[-1] / work[-2])
+        said.append(f"{name} {slope:.2f}")
+        panel.loglog(work, seconds, "o-", label=f"CPU seconds, exponent {slope:.2f}")
+        if np.isfinite(memory).all():
+            growth = np.log(memory[-1] / memory[-2]) / np.log(work[-1] / work[-2])
+            panel.loglog(work, memory / 1e3, "s--", label=f"GB of a chunk, exponent {growth:.2f}")
+            said[-1] += f" (memory {growth:.2f})"
+        panel.set(xlabel=name)
+        if work[-1] < 1000:  # too few decades for ticks at powers of ten
+            panel.set_xticks(work, [f"{w:.0f}" for w in work])
+            panel.xaxis.minorticks_off()
+        panel.legend()
+    figure.savefig(out / "scaling.png", dpi=90)
+    plt.close(figure)
+    return said
+
+
 def main(argv: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m studies.scaling", description=__doc__.split("\n")[0])
     parser.add_argument("--full", action="store_true", help="1e6 triangles, 6e7 cells, 256 nodes too")
@@ -115,27 +142,7 @@ def main(argv: list[str]) -> None:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    names = list(dict.fromkeys(row["axis"] for row in rows))
-    figure, panels = plt.subplots(2, 3, figsize=(13, 7), layout="constrained")
-    said = []
-    for panel, name in zip(panels.ravel(), names, strict=True):
-        own = [row for row in rows if row["axis"] == name]
-        work, seconds, memory = (
-            np.array([row[k] for row in own], float) for k in ("work", "seconds", "chunk_megabytes")
-        )
-        slope = np.log(seconds[-1] / seconds[-2]) / np.log(work[-1] / work[-2])
-        said.append(f"{name} {slope:.2f}")
-        panel.loglog(work, seconds, "o-", label=f"CPU seconds, exponent {slope:.2f}")
-        if np.isfinite(memory).all():
-            growth = np.log(memory[-1] / memory[-2]) / np.log(work[-1] / work[-2])
-            panel.loglog(work, memory / 1e3, "s--", label=f"GB of a chunk, exponent {growth:.2f}")
-            said[-1] += f" (memory {growth:.2f})"
-        panel.set(xlabel=name)
-        panel.set_xticks(work, [f"{w:.2g}" for w in work])
-        panel.xaxis.minorticks_off()
-        panel.legend()
-    figure.savefig(chosen.out / "scaling.png", dpi=90)
-    plt.close(figure)
+    said = chart(rows, chosen.out)
     most = max(row["chunk_megabytes"] for row in rows if np.isfinite(row["chunk_megabytes"]))
     print(f"time grows with the power of {', '.join(said)}; a chunk needs {most:.0f} MB at most; see {chosen.out}/")
 
