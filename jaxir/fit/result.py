@@ -123,7 +123,7 @@ class Fit(eqx.Module):
             estimate.
         sampling_chi_squared: by how much the sampling error of the prediction raises `chi_squared` [].
         steps: of the solver, for the start that was best.
-        starts: loss reached from every start with the rays traced first [start].
+        starts: loss reached from every start with the rays traced first, by fewer rays where such lead [start].
         rounds: how often rays were traced.
         effective_share: of the directions that the traced brdf drew, for the fitted one; 1 where none were drawn [].
         drifted: whether rays should have been traced once more.

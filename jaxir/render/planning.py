@@ -65,7 +65,7 @@ class Plan(NamedTuple):
         terms: of the transport, in the order in which light meets them on its way back from the eye.
         method: what `render` is to take as `reflection`, `scattering` and `path`.
         samples: rays per pixel, in one pass.
-        seconds: predicted, without compiling, on the device in force.
+        seconds: predicted, of the rays on the device in force; compiling and the call, some milliseconds, come on top.
         compile_seconds: what compiling the chosen method's pilot took.
         rtol: asked.
         expected: predicted standard error over intensity, of the worst band.
