@@ -239,12 +239,11 @@ def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> _Vi
     tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
     offset = pixel_samples(key, tile.shape[0], samples)
     count = 2 * offset.shape[0]
-    screen = jax.vmap(lambda o: camera.screen(tile, o))(offset.reshape((count, *offset.shape[2:])))
+    screen = jax.vmap(lambda o: camera.screen(tile, o))(offset.reshape((count, *offset.shape[2:]))).reshape(-1, 2)
     # on the sphere, if that is further out: a jet may grow inside it, see `Observation.holds`
     start = jnp.maximum(scene.start(camera), scene.radius(camera.target))
-    bundle = camera.bundle(screen.reshape(-1, 2), start)
+    bundle = camera.bundle(screen, start)
     rays = bundle.rays()
-    size = camera.pixel * max(camera.shape)
     reach = jnp.full_like(rays.origin[:, 0], jnp.inf)
     face = jnp.full(reach.shape, -1, jnp.int32)
     if scene.skin is not None:
@@ -264,7 +263,8 @@ def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> _Vi
 
     half = jnp.repeat(jnp.arange(count, dtype=jnp.int32) % 2, pixel.size)
     group = jnp.where(spread(pixel) >= 0, spread(pixel) + camera.shape[0] * camera.shape[1] * half, -1)
-    cell = jnp.clip((screen.reshape(-1, 2) / size[None, :] + 0.5) * 2**CURVE, 0, 2**CURVE - 1).astype(jnp.int32)
+    size = camera.pixel * max(camera.shape)
+    cell = jnp.clip((screen / size[None, :] + 0.5) * 2**CURVE, 0, 2**CURVE - 1).astype(jnp.int32)
     order = jnp.argsort(hilbert_index(cell[:, 0], cell[:, 1], CURVE))
     return jax.tree.map(lambda leaf: leaf[order], _ViewRays(rays, spread(area / samples), group, face, crosses))
 
@@ -310,8 +310,8 @@ def _thinned(
 
     Systematic sampling with a probability proportional to what a ray contributes now, averaged over bands, so that
     each ray kept stands for the same part of its row, along a curve that fills the image, so that it stands for its
-    neighbours. A jet's few parameters act on all of its rays; parameters of
-    the skin may act on a few rays only, so those that meet it stay. None where that leaves most.
+    neighbours. A jet's few parameters act on all of its rays; parameters of the skin may act on a few rays only, so
+    those that meet it stay. None where that leaves most.
     """
     if not isinstance(scene.plume, JetPlume) or through is None:
         return None, None
