@@ -80,7 +80,8 @@ def thinning(u: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     total = jnp.full_like(u, (terms + 1) / math.factorial(terms + 2))
     for k in range(terms - 1, -1, -1):
         total = (k + 1) / math.factorial(k + 2) - small * total
-    return jnp.where(thin, total, ((1 - jnp.exp(-large)) / large - jnp.exp(-large)) / large)
+    # One division at the end: XLA's CPU backend repeats all that follows the last one for each use of a value.
+    return jnp.where(thin, total, (1 - jnp.exp(-large)) / large - jnp.exp(-large)) / large
 
 
 def attenuate(radiance: Float[Array, "*batch"], u: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

@@ -1,7 +1,7 @@
 """The path integral through a jet, by quadrature and without a grid.
 
 The state of a jet is a function of one number, the exhaust fraction f, so its extinction and emission are tabulated
-over f once for all rays. A ray is cut where it enters and leaves the cone of the jet's edge and the cone of its core,
+over f once for all rays: computed at some knots, and by cubics at the knots between them. A ray is cut where it enters and leaves the cone of the jet's edge and the cone of its core,
 and in each shear layer where it passes the end of the core, at which the jet's decay begins. In the core f is 1: one
 homogeneous layer. In every other piece f is smooth, and equal panels in ln(z + d / 2), which suits both the growth of
 the shear layer and the decay of the jet, are integrated by two points of Gauss and Legendre each:
@@ -17,6 +17,8 @@ brightest point.
 
 from __future__ import annotations
 
+import functools
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -31,13 +33,16 @@ from jaxir._vector import frame_around
 from jaxir.geometry.cone import FLAT, AxisView, inside_cone, view_from_axis
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import Band, Nodes, as_nodes
-from jaxir.optics.layer import across_layer, thinning, through_layer
+from jaxir.optics.layer import across_layer, thinning
 from jaxir.optics.phase import AbstractPhase
 from jaxir.scene.jet import JetPlume
 from jaxir.transport.active import for_active
 from jaxir.transport.medium import AbstractMedium, plume_optics
 
-KNOTS = 1024  # 1.7 K apart between 300 and 2000 K: linear interpolation errs by 1e-4 where the gas is above 500 K
+COMPUTED = 256  # knots at which the optics are computed, 7 K apart between 300 and 2000 K
+BETWEEN = 4  # knots of the table for each interval of those
+KNOTS = BETWEEN * (COMPUTED - 1)  # intervals of the table; see `jet_medium` for what they err
+AT_ONCE = 64  # knots computed at once
 MOST_PANELS = 256
 _DARK = 1e-18  # the inverse square of what is smaller overflows in float32
 _EXTRAPOLATE = 3**-0.5 - 0.5
@@ -65,12 +70,11 @@ class JetMedium(AbstractMedium):
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"]
     ) -> Float[Array, "ray node"]:
         """See `AbstractMedium.leg`. Differentiable in the jet, the rays, `t_max` and `behind`."""
-        emitted, depth = _integrate(self, rays, t_max)
-        return emitted + jnp.exp(-depth) * behind
+        return _radiance(self, rays, t_max, behind)
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`. Differentiable in the jet, the rays and `t_max`."""
-        return jnp.exp(-_integrate(self, rays, t_max)[1])
+        return jnp.exp(-_depth(self, rays, t_max))
 
     def scattering_at(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.scattering_at`. Differentiable in the jet and the points."""
@@ -79,10 +83,36 @@ class JetMedium(AbstractMedium):
 
 
 def jet_medium(jet: JetPlume, nodes: Nodes) -> JetMedium:
-    """A jet on the nodes. Differentiable in the jet's fields."""
-    fraction = as_float(np.linspace(0, 1, KNOTS + 1))
-    temperature = jet.temperature(fraction)
-    return JetMedium(jet, *plume_optics(jet.mixture(fraction), jet.suspension(fraction), nodes, temperature))
+    """A jet on the nodes.
+
+    Interpolation errs by 2e-5 of the largest emission of a node and 4e-5 of its largest extinction, up to 2500 K;
+    where the gas is above 500 K by 1e-4 of its own emission beyond 3 um and 2e-3 at shorter wavelengths.
+
+    Differentiable in the jet's fields.
+    """
+
+    def computed(fraction: Array) -> tuple[Array, Array, Array | None]:
+        gas, particles = jet.mixture(fraction), jet.suspension(fraction)
+        return plume_optics(gas, particles, nodes, jet.temperature(fraction))[:3]
+
+    # Some knots at a time: in one loop with what interpolates between them they would be computed four times each.
+    some = lax.map(computed, as_float(np.linspace(0, 1, COMPUTED).reshape(-1, AT_ONCE)))
+    tables = jax.tree.map(lambda table: _refined(table.reshape(COMPUTED, -1)), some)
+    return JetMedium(jet, *tables, None if jet.particles is None else jet.particles.optics(nodes).phase)
+
+
+def _refined(table: Float[Array, "computed node"]) -> Float[Array, "knot node"]:
+    """A table >= 0 at all knots, by cubics through the four nearest of those computed.
+
+    Where values grow so fast that a cubic falls below 0, tenfold from one to the next, it is no use: a straight line.
+    """
+    place = np.arange(KNOTS + 1) / BETWEEN
+    low = np.minimum(place.astype(int), COMPUTED - 2)
+    first = np.clip(low - 1, 0, COMPUTED - 4)
+    at, share = place - first, as_float(place - low)[:, None]
+    weights = [math.prod((at - j) / (k - j) for j in range(4) if j != k) for k in range(4)]
+    cubic = functools.reduce(jnp.add, [as_float(w)[:, None] * table[first + k] for k, w in enumerate(weights)])
+    return jnp.where(cubic > 0, cubic, (1 - share) * table[low] + share * table[low + 1])
 
 
 class _Chord(NamedTuple):
@@ -179,64 +209,137 @@ def jet_panels(
     return chord.cuts[0] + chord.view.start, jnp.concatenate(lengths), jnp.concatenate(fractions)
 
 
-State = tuple[Array, Array]
+def _radiance(medium: JetMedium, rays: Rays, t_max: Array, behind: Array) -> Float[Array, "ray node"]:
+    """Radiance of the jet in front of `behind`."""
 
+    def along(some: tuple[_Chord, Array]) -> Array:
+        return _across(some[1], medium.extinction, medium.emission, *_points(medium.jet, some[0]))
 
-def _integrate(medium: JetMedium, rays: Rays, t_max: Array) -> State:
-    """Emitted radiance and optical depth [ray, node]."""
     chord = jax.vmap(_chord, in_axes=(None, 0, 0, 0))(medium.jet, rays.origin, rays.direction, t_max)
     meets = chord.cuts[:, 0] < chord.cuts[:, -1]
-    return for_active(lambda chord: _along(medium, chord), meets, chord, medium.extinction.shape[1])
+    found = for_active(along, meets, (chord, behind), medium.extinction.shape[1])
+    return jnp.where(meets[:, None], found, behind)
 
 
-def _along(medium: JetMedium, chord: _Chord) -> State:
-    """Emitted radiance and optical depth of chords [ray, node]."""
-    jet = medium.jet
+def _depth(medium: JetMedium, rays: Rays, t_max: Array) -> Float[Array, "ray node"]:
+    """Optical depth."""
+
+    def along(chord: _Chord) -> Array:
+        def panel(depth: Array, points: tuple[Array, Array]) -> tuple[Array, None]:
+            (near, far), (near_length, far_length) = points
+            near, far = _between(medium.extinction, near), _between(medium.extinction, far)
+            return depth + (near * near_length[:, None] + far * far_length[:, None]), None
+
+        points = _points(medium.jet, chord)
+        none = jnp.zeros((chord.cuts.shape[0], medium.extinction.shape[1]), medium.extinction.dtype)
+        return lax.scan(panel, none, points, reverse=True)[0]
+
+    chord = jax.vmap(_chord, in_axes=(None, 0, 0, 0))(medium.jet, rays.origin, rays.direction, t_max)
+    return for_active(along, chord.cuts[:, 0] < chord.cuts[:, -1], chord, medium.extinction.shape[1])
+
+
+def _points(jet: JetPlume, chord: _Chord) -> tuple[Float[Array, "panel 2 ray"], Float[Array, "panel 2 ray"]]:
+    """Exhaust fractions at both points of all panels of chords, near to far, and half the panels' lengths [m].
+
+    The core is one panel.
+    """
     shares = as_float((np.arange(jet.panels)[:, None] + _GAUSS[None, :]) / jet.panels)
 
-    def piece(state: State, bounds: tuple[Array, Array, Array]) -> tuple[State, None]:
-        begin, end, core = bounds
+    def piece(begin: Array, end: Array) -> tuple[Array, Array]:
         spread = _spread(jet, chord.view, begin, end)
 
         def at(share: Array) -> tuple[Array, Array]:
             s, stretch = spread.place(share)
             return jet.fraction(chord.view.z(s), chord.view.r_squared(s)), stretch / (2 * jet.panels)
 
-        def panel(state: State, points: tuple[Array, Array]) -> tuple[State, None]:
-            emitted, passed = state
-            (near_u, near_j), (far_u, far_j) = (_layer(medium, points[0][i], points[1][i]) for i in (0, 1))
-            return (_across(emitted, near_u, near_j, far_u, far_j), passed + (near_u + far_u)), None
+        return jax.vmap(jax.vmap(at))(shares)
 
-        points = jax.vmap(jax.vmap(at))(shares)  # of all panels first: else each node would find them anew
-        state, _ = lax.scan(panel, state, points, reverse=True)
-        full = medium.extinction[-1][None, :], medium.emission[-1][None, :]
-        return _through(state, core[:, None] * full[0], core[:, None] * full[1]), None
-
-    # The core lies in front of the second piece from the far end; the other pieces end in a layer of no length.
     cuts = chord.cuts.T
-    none = jnp.zeros_like(cuts[0])
-    core = jnp.stack([none, cuts[3] - cuts[2], none, none])
-    begins, ends = (jnp.stack([cuts[i] for i in order]) for order in ((4, 3, 1, 0), (5, 4, 2, 1)))
-    dark = jnp.zeros((none.shape[0], medium.extinction.shape[1]), medium.extinction.dtype)
-    return lax.scan(piece, (dark, dark), (begins, ends, core))[0]
+    pieces = jax.vmap(piece)(cuts[np.array([0, 1, 3, 4])], cuts[np.array([1, 2, 4, 5])])
+    fraction, length = (x.reshape(4 * jet.panels, 2, -1) for x in pieces)
+    half = jnp.broadcast_to((cuts[3] - cuts[2]) / 2, (1, *fraction.shape[1:]))
+    core = 2 * jet.panels
+    return tuple(
+        jnp.concatenate([x[:core], middle, x[core:]])
+        for x, middle in ((fraction, jnp.ones_like(half)), (length, half))
+    )
 
 
 @jax.custom_jvp
-def _across(emitted: Array, near_u: Array, near_j: Array, far_u: Array, far_j: Array) -> Array:
-    """The radiance in front of a panel, which is A2 and before it A1 of this file's head [ray, node]."""
-    shift_u, shift_j = _shift(near_u, far_u)[0], _shift(near_j, far_j)[0]
-    length = jnp.ones_like(emitted)
-    behind = across_layer(emitted, far_u + shift_u, far_j + shift_j, length)
-    return across_layer(behind, near_u - shift_u, near_j - shift_j, length)
+def _across(
+    behind: Float[Array, "ray node"],
+    extinction: Float[Array, "knot node"],
+    emission: Float[Array, "knot node"],
+    fraction: Float[Array, "panel 2 ray"],
+    length: Float[Array, "panel 2 ray"],
+) -> Float[Array, "ray node"]:
+    """The radiance in front of panels, each of which is A2 and before it A1 of this file's head.
+
+    What is found in the tables lies in rows of one ray, what follows in one long row, because loops over a few nodes
+    are slow; and each is a computation of its own, because XLA would join the loops. A panel that none of the rays
+    crosses, as the core behind its end, is left out.
+    """
+    none = jnp.zeros_like(behind)
+
+    def panel(radiance: Array, each: tuple[Array, Array]) -> tuple[Array, None]:
+        fraction, length = each
+        crossed = (length > 0).any()
+
+        def look_up() -> list[Array]:
+            tables = extinction, emission
+            return [_between(table, f) * half[:, None] for table in tables for f, half in zip(fraction, length)]
+
+        layers = [x.reshape(-1) for x in lax.cond(crossed, look_up, lambda: [none] * 4)]
+        return lax.cond(crossed, lambda: _front(radiance, *layers), lambda: radiance), None
+
+    return lax.scan(panel, behind.reshape(-1), (fraction, length), reverse=True)[0].reshape(behind.shape)
 
 
 @_across.defjvp
 def _across_jvp(primals, tangents):
-    """Five factors of the tangents, computed once for all tangents; a compiler left alone repeats them for each.
+    """As the value, with factors for the tangents, which are found once for all of them."""
+    behind, extinction, emission, fraction, length = primals
+    d_behind, d_extinction, d_emission, d_fraction, d_length = tangents
+    none = jnp.zeros_like(behind)
+
+    def panel(state: tuple[Array, Array], each: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
+        radiance, change = state
+        fraction, length, d_fraction, d_length = each
+        crossed = (length > 0).any()
+
+        def look_up() -> list[tuple[Array, Array]]:
+            return [(_between(table, f), _slope(table, f)) for table in (extinction, emission) for f in fraction]
+
+        found = lax.cond(crossed, look_up, lambda: [(none, none)] * 4)
+        halves, d_halves, d_places = ([x[i][:, None] for i in (0, 1, 0, 1)] for x in (length, d_length, d_fraction))
+        layers = [(value * half).reshape(-1) for (value, _), half in zip(found, halves, strict=True)]
+        passing = radiance, jnp.ones_like(radiance), [jnp.zeros_like(radiance)] * 4
+        front, kept, factors = lax.cond(crossed, lambda: _factors(radiance, *layers), lambda: passing)
+        change = kept.reshape(none.shape) * change
+        for i, (value, slope) in enumerate(found):
+            table, place = (d_extinction, d_emission)[i // 2], fraction[i % 2]
+            moved = halves[i] * (_between(table, place) + slope * d_places[i]) + value * d_halves[i]
+            change = change + factors[i].reshape(none.shape) * moved
+        return (front, change), None
+
+    panels = fraction, length, d_fraction, d_length
+    front, change = lax.scan(panel, (behind.reshape(-1), d_behind), panels, reverse=True)[0]
+    return front.reshape(behind.shape), change
+
+
+def _front(behind: Array, near_u: Array, far_u: Array, near_j: Array, far_j: Array) -> Array:
+    """The radiance in front of a panel."""
+    shift_u, shift_j = _shift(near_u, far_u)[0], _shift(near_j, far_j)[0]
+    unit = jnp.ones_like(behind)
+    between = across_layer(behind, far_u + shift_u, far_j + shift_j, unit)
+    return across_layer(between, near_u - shift_u, near_j - shift_j, unit)
+
+
+def _factors(behind: Array, near_u: Array, far_u: Array, near_j: Array, far_j: Array) -> tuple[Array, Array, list]:
+    """The radiance in front of a panel, and its derivatives by that behind and by each of the other arguments.
 
     A layer has dR' = exp(-u) dR + phi1 dj - (exp(-u) R + thinning j) du, with phi1 = exp(-u) + u thinning.
     """
-    emitted, near_u, near_j, far_u, far_j = primals
     shift_u, by_near_u, by_far_u = _shift(near_u, far_u)
     shift_j, by_near_j, by_far_j = _shift(near_j, far_j)
 
@@ -245,22 +348,12 @@ def _across_jvp(primals, tangents):
         mean = kept + u * bend
         return kept * behind + mean * j, kept, mean, -(kept * behind + bend * j)
 
-    between, far_kept, far_mean, far_slope = lax.optimization_barrier(layer(emitted, far_u + shift_u, far_j + shift_j))
-    front, kept, mean, slope = lax.optimization_barrier(layer(between, near_u - shift_u, near_j - shift_j))
+    between, far_kept, far_mean, far_slope = layer(behind, far_u + shift_u, far_j + shift_j)
+    front, kept, mean, slope = layer(between, near_u - shift_u, near_j - shift_j)
     far_mean, far_slope = kept * far_mean, kept * far_slope
-    factors = lax.optimization_barrier(
-        (
-            kept * far_kept,
-            slope + (far_slope - slope) * by_near_u,
-            mean + (far_mean - mean) * by_near_j,
-            far_slope + (far_slope - slope) * by_far_u,
-            far_mean + (far_mean - mean) * by_far_j,
-        )
-    )
-    change = jnp.zeros_like(emitted)
-    for factor, tangent in zip(factors, tangents, strict=True):
-        change = change + factor * tangent
-    return front, change
+    by_u = slope + (far_slope - slope) * by_near_u, far_slope + (far_slope - slope) * by_far_u
+    by_j = mean + (far_mean - mean) * by_near_j, far_mean + (far_mean - mean) * by_far_j
+    return front, kept * far_kept, [*by_u, *by_j]
 
 
 def _shift(near: Array, far: Array) -> tuple[Array, Array, Array]:
@@ -279,26 +372,24 @@ def _shift(near: Array, far: Array) -> tuple[Array, Array, Array]:
     return _EXTRAPOLATE * alike * (far - near), _EXTRAPOLATE * by_near, _EXTRAPOLATE * by_far
 
 
-def _through(state: State, depth: Array, emission: Array) -> State:
-    """One more layer in front; `depth` and `emission` are over its length."""
-    emitted, passed = state
-    depth, emission = jnp.broadcast_to(depth, emitted.shape), jnp.broadcast_to(emission, emitted.shape)
-    return through_layer(emitted, depth, emission, jnp.ones_like(emitted)), passed + depth
-
-
-def _layer(medium: JetMedium, fraction: Float[Array, " ray"], length: Float[Array, " ray"]) -> tuple[Array, Array]:
-    """Extinction and emission times a length [ray, node]."""
-    extinction, emission = _between(medium.extinction, fraction), _between(medium.emission, fraction)
-    return extinction * length[:, None], emission * length[:, None]
-
-
 def _between(table: Float[Array, "knot node"], fraction: Float[Array, " ray"]) -> Float[Array, "ray node"]:
     """A table over the exhaust fraction, linear between knots."""
+    low, high, part = _neighbours(table, fraction)
+    return low + part * (high - low)
+
+
+def _slope(table: Float[Array, "knot node"], fraction: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+    """The derivative of a table by the exhaust fraction."""
+    low, high, _ = _neighbours(table, fraction)
+    return KNOTS * (high - low)
+
+
+def _neighbours(table: Float[Array, "knot node"], fraction: Float[Array, " ray"]) -> tuple[Array, Array, Array]:
+    """The values of a table at the knots below and above [ray, node], and where between them [ray, 1]."""
     place = fraction * KNOTS
     knot = jnp.clip(place.astype(jnp.int32), 0, KNOTS - 1)
-    part = (place - knot.astype(place.dtype))[:, None]
-    low = table.at[knot].get(mode="promise_in_bounds")
-    return low + part * (table.at[knot + 1].get(mode="promise_in_bounds") - low)
+    low, high = (table.at[k].get(mode="promise_in_bounds") for k in (knot, knot + 1))
+    return low, high, (place - knot.astype(place.dtype))[:, None]
 
 
 _SAMPLE_ANGLES = np.deg2rad([0.0, 3.0, 15.0, 45.0, 90.0, 135.0, 165.0, 177.0, 180.0])
@@ -325,8 +416,9 @@ def _sampled(medium: JetMedium) -> tuple[Array, Array]:
     def view(angle: Array) -> tuple[Array, Array]:
         direction = jnp.cos(angle) * frame[2] + jnp.sin(angle) * frame[0]
         rays = Rays(point - back * direction[None, :], jnp.broadcast_to(direction, point.shape))
-        emitted, depth = _integrate(medium, rays, jnp.full((_SAMPLE_RAYS,), jnp.inf, point.dtype))
-        return emitted, jnp.exp(-depth)
+        t_max = jnp.full((_SAMPLE_RAYS,), jnp.inf, point.dtype)
+        dark = jnp.zeros((_SAMPLE_RAYS, medium.extinction.shape[1]), point.dtype)
+        return medium.leg(rays, t_max, dark), medium.transmittance(rays, t_max)
 
     return lax.map(view, as_float(_SAMPLE_ANGLES))
 
