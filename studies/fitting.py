@@ -55,7 +55,7 @@ def tracing_every_step(problem: Problem, steps: int) -> Baseline:
 
     @eqx.filter_jit
     def linearised(traced: Problem, z: jax.Array) -> tuple[tuple[jax.Array, jax.Array], ...]:
-        value, jacobian = value_and_jacobian(traced.residual, z)
+        (value, _), jacobian = value_and_jacobian(lambda z: (traced.residual(z), None), z)
         return (value, jacobian), jax.vmap(
             lambda t: jax.jvp(traced.logarithmic, (value,), (t,)), in_axes=1, out_axes=(None, 1)
         )(jacobian)

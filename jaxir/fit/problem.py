@@ -184,23 +184,27 @@ def _outline_moves(coordinates: Coordinates) -> bool:
 Residual = Callable[[Array], Array]
 
 
-def value_and_jacobian(function: Residual, z: Float[Array, " p"]) -> tuple[Float[Array, " row"], Float[Array, "row p"]]:
-    """A residual and its Jacobian, in the mode that needs fewer passes.
+def value_and_jacobian(
+    function: Callable[[Array], tuple[Array, Any]], z: Float[Array, " p"]
+) -> tuple[tuple[Float[Array, " row"], Any], Float[Array, "row p"]]:
+    """What a function returns, which is residuals and anything beside, and the Jacobian of the residuals.
 
-    Passes are taken `BATCH` at a time, so that memory does not grow with their number; up to `BATCH` columns come with
-    one evaluation.
+    In the mode that needs fewer passes. Passes are taken `BATCH` at a time, so that memory does not grow with their
+    number; up to `BATCH` columns come with one evaluation.
     """
-    rows, count = jax.eval_shape(function, z).shape[0], z.shape[0]
+    rows, count = jax.eval_shape(function, z)[0].shape[0], z.shape[0]
     if count > rows:
-        value, pull = jax.vjp(function, z)
-        return value, lax.map(lambda t: pull(t)[0], jnp.eye(rows, dtype=z.dtype), batch_size=BATCH)
+        value, pull, beside = jax.vjp(function, z, has_aux=True)
+        jacobian = lax.map(lambda t: pull(t)[0], jnp.eye(rows, dtype=z.dtype), batch_size=BATCH)
+        return (value, beside), jacobian
 
-    def push(tangent: Array) -> tuple[Array, Array]:
-        return jax.jvp(function, (z,), (tangent,))
+    def push(tangent: Array) -> tuple[Array, Array, Any]:
+        return jax.jvp(function, (z,), (tangent,), has_aux=True)
 
     basis = jnp.eye(count, dtype=z.dtype)
     if count <= BATCH:
-        return jax.vmap(push, out_axes=(None, 1))(basis)
+        value, jacobian, beside = jax.vmap(push, out_axes=(None, 1, None))(basis)
+        return (value, beside), jacobian
     return function(z), lax.map(lambda t: push(t)[1], basis, batch_size=BATCH).T
 
 
@@ -216,7 +220,7 @@ def with_jacobian(function: Residual) -> Residual:
 
     @held.defjvp
     def held_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-        value, jacobian = value_and_jacobian(function, primals[0])
+        (value, _), jacobian = value_and_jacobian(lambda z: (function(z), None), primals[0])
         return value, jacobian @ tangents[0]
 
     return held

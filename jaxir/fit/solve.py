@@ -109,7 +109,7 @@ def solve(
             z, seen = (z, seen) if seen.loss < before.loss else (begin[best], before)
         if leads:
             assert walked.jacobian is not None  # of our own solver
-            z, seen, more = approach(problem, z, seen, walked.jacobian[best])
+            z, seen, slopes, more = approach(problem, z, seen, walked.jacobian[best])
             steps += more
         reached = losses if traced == 1 else reached
         scene = coordinates.scene(coordinates.values(z))
@@ -120,13 +120,13 @@ def solve(
         move = z - begin[best]
         begin = (begin[best] + move / jnp.maximum(1, jnp.max(jnp.abs(move)) / LEAP))[None]
         problem = problem.retraced(coordinates.scene(coordinates.values(begin[0])))
-    end = settle(problem, z, seen) if leads else stay(problem, z, seen)
+    end = settle(problem, z, seen, slopes) if leads else stay(problem, z)
     steps += end.steps
     arrived = bool(result == optx.RESULTS.successful) and end.distance <= MISLED
     if leads and not drifted and not arrived:  # fewer rays have misled
         walked = walk(problem, end.z[None], size, solver, max_steps, both)
         result = _pick(walked.result, 0)
-        end = stay(problem, walked.end[0], look(problem, walked.end[0]))
+        end = stay(problem, walked.end[0])
         steps += int(walked.steps[0])
     values, slope, seen = coordinates.values(end.z), coordinates.slope(end.z), end.seen
     error = tuple((half[0] - half[1]) / 2 for half in seen.halves)
@@ -173,7 +173,7 @@ def expected_uncertainty(
     problem = prepare(scene, parameters, measurements, priors=priors, key=key)
     coordinates = problem.coordinates
     z = coordinates.origin()
-    jacobian = linearised(problem, z)
+    jacobian = linearised(problem, z)[1]
     return uncertainty(coordinates.labels, coordinates.units, coordinates.values(z), coordinates.slope(z), jacobian)
 
 
@@ -202,7 +202,7 @@ def _starts(coordinates: Coordinates, starts: Any) -> Float[Array, "start p"]:
 
 def _effect(problem: Problem, z: Array) -> Float[Array, " p"]:
     """Norm of each column of the Jacobian at the start; a parameter without effect is named in an error."""
-    jacobian = linearised(problem.leading(), z)
+    jacobian = linearised(problem.leading(), z)[1]
     size = jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0))
     still = np.asarray(size) == 0
     if still.any():

@@ -120,21 +120,31 @@ def walk(
 
 
 @eqx.filter_jit
-def linearised(problem: Problem, z: Array) -> Float[Array, "row p"]:
-    """The Jacobian of the residuals."""
-    return value_and_jacobian(problem.residual, z)[1]
+def look(problem: Problem, z: Array) -> Seen:
+    """What the rays of a problem say of a point."""
+    return _seen(problem, z)
 
 
 @eqx.filter_jit
-def look(problem: Problem, z: Array) -> Seen:
-    """What the rays of a problem say of a point."""
+def linearised(problem: Problem, z: Array) -> tuple[Seen, Float[Array, "row p"]]:
+    """What the rays of a problem say of a point, and the Jacobian of the residuals there."""
+
+    def residual(z: Array) -> tuple[Array, Seen]:
+        seen = _seen(problem, z)
+        return seen.residual, seen
+
+    (_, seen), jacobian = value_and_jacobian(residual, z)
+    return seen, jacobian
+
+
+def _seen(problem: Problem, z: Array) -> Seen:
     halves, prior = problem.halves(z), problem.prior(z)
     residual = problem.stacked(halves, prior)
     return Seen(halves, prior, residual, jnp.sum(problem.robustly(residual) ** 2))
 
 
-def approach(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[Array, Seen, int]:
-    """From near the solution to about the minimum of the rays that steer.
+def approach(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[Array, Seen, Array | None, int]:
+    """From near the solution to about the minimum of the rays that steer: Gauss-Newton steps that lower the loss.
 
     Args:
         problem: what to solve.
@@ -143,19 +153,27 @@ def approach(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[A
         jacobian: of those that lead, at z.
 
     Returns:
-        A point, what the rays that steer say of it, and steps taken.
+        A point, what the rays that steer say of it, their Jacobian there, where it is known, and steps taken.
     """
-    z, seen, _, steps = _descend(problem.steering(), z, seen, jacobian, APPROACHED)
-    return z, seen, steps
+    fewer, steps, known = problem.steering(), 0, None
+    step, distance = _step(fewer, seen.residual, jacobian)
+    while steps < STEPS and distance > APPROACHED:
+        ahead, slopes = linearised(fewer, z + as_float(step))
+        if not ahead.loss < seen.loss:
+            break
+        z, seen, known, steps = z + as_float(step), ahead, slopes, steps + 1
+        step, distance = _step(fewer, seen.residual, known)
+    return z, seen, known, steps
 
 
-def settle(problem: Problem, z: Array, seen: Seen) -> Settled:
+def settle(problem: Problem, z: Array, seen: Seen, known: Array | None) -> Settled:
     """From about the minimum of the rays that steer to that of all rays.
 
     Args:
         problem: what to solve.
         z: about the minimum of the rays that steer [p].
         seen: of them, at z.
+        known: their Jacobian there, if known.
 
     Returns:
         Where it ended. Residuals are those of all rays at the last point where they were evaluated, and from there on
@@ -165,17 +183,17 @@ def settle(problem: Problem, z: Array, seen: Seen) -> Settled:
     for _ in range(LOOKS):
         begin, every = z, look(problem, z)
         fewer = fewer.completed(every.halves, seen.halves)
-        jacobian = linearised(fewer, z)
-        z, seen, left, steps = _descend(fewer, z, every, jacobian, THERE)
+        jacobian = linearised(fewer, z)[1] if known is None else known
+        z, seen, left, steps = _descend(fewer, z, every, jacobian)
         total += steps
         way = np.asarray(jacobian, np.float64) @ np.asarray(z - begin, np.float64)
-        distance = left + SLOPES * float(np.linalg.norm(way))
+        distance, known = left + SLOPES * float(np.linalg.norm(way)), None
         if distance <= SETTLED:
             break
     return Settled(z, seen, jacobian, distance, total)
 
 
-def _descend(problem: Problem, z: Array, seen: Seen, jacobian: Array, enough: float) -> tuple[Array, Seen, float, int]:
+def _descend(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[Array, Seen, float, int]:
     """Gauss-Newton steps with slopes that stay, as long as they lower the loss; on the host, in double precision.
 
     Combinations of parameters that the data do not determine stay where they are.
@@ -185,7 +203,7 @@ def _descend(problem: Problem, z: Array, seen: Seen, jacobian: Array, enough: fl
     """
     steps = 0
     step, distance = _step(problem, seen.residual, jacobian)
-    while steps < STEPS and distance > enough:
+    while steps < STEPS and distance > THERE:
         trial = z + as_float(step)
         ahead = look(problem, trial)
         if not ahead.loss < seen.loss:
@@ -195,9 +213,9 @@ def _descend(problem: Problem, z: Array, seen: Seen, jacobian: Array, enough: fl
     return z, seen, distance, steps
 
 
-def stay(problem: Problem, z: Array, seen: Seen) -> Settled:
+def stay(problem: Problem, z: Array) -> Settled:
     """A point, with the slopes of all rays there."""
-    jacobian = linearised(problem, z)
+    seen, jacobian = linearised(problem, z)
     return Settled(z, seen, jacobian, _step(problem, seen.residual, jacobian)[1], 0)
 
 
