@@ -1,10 +1,11 @@
 """The solver of fits: Levenberg and Marquardt's, which takes a Jacobian only where it has arrived.
 
-With the singular values s_k and left and right vectors u_k, v_k of the Jacobian, a step is
+With the singular values s_k and left and right vectors u_k, v_k of the Jacobian, its columns divided by the norms d
+that they have at the start (Marquardt 1963), a step is
 
-    delta = - sum_k v_k s_k c_k / (s_k^2 + damping),    c_k = u_k . residual,
+    d delta = - sum_k v_k s_k c_k / (s_k^2 + damping),    c_k = u_k . residual,
 
-so one decomposition serves every damping that a rejected step asks for. The damping follows the ratio of the fall of
+so a unit of damping means the same for all parameters, whatever their units. One decomposition serves every damping that a rejected step asks for. The damping follows the ratio of the fall of
 the loss to the predicted one as in Nielsen, "Damping parameter in Marquardt's method" (IMM-REP-1999-05, DTU, 1999).
 
 |c| is the distance to the solution of the linearised problem in units of the residual: where residuals are in standard
@@ -30,13 +31,17 @@ NEARLY = 10  # tolerances from the solution within which a step that gains nothi
 
 
 class _State(eqx.Module):
-    """Where the solver stands: the point it tries next, and the linearised problem at the point it holds."""
+    """Where the solver stands: the point it tries next, and the linearised problem at the point it holds.
+
+    `size` are the norms of the first Jacobian's columns.
+    """
 
     trial: Float[Array, " p"]
     loss: Float[Array, ""]
     left: Float[Array, "row k"]
     singular: Float[Array, " k"]
     right: Float[Array, "k p"]
+    size: Float[Array, " p"]
     along: Float[Array, " k"]
     damping: Float[Array, ""]
     growth: Float[Array, ""]
@@ -48,7 +53,12 @@ class _State(eqx.Module):
     @property
     def jacobian(self) -> Float[Array, "row p"]:
         """At the point it holds."""
-        return (self.left * self.singular[None, :]) @ self.right
+        return (self.left * self.singular[None, :]) @ self.right * _divisor(self.size)[None, :]
+
+
+def _divisor(size: Float[Array, " p"]) -> Float[Array, " p"]:
+    """Norms of columns, 1 for those without."""
+    return jnp.where(size > 0, size, 1)
 
 
 class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
@@ -76,6 +86,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             left=jnp.zeros((f_struct.shape[0], rank), y.dtype),
             singular=jnp.zeros(rank, y.dtype),
             right=jnp.zeros((rank, y.shape[0]), y.dtype),
+            size=jnp.zeros_like(y),
             along=jnp.zeros(rank, y.dtype),
             damping=zero,
             growth=zero + 2,
@@ -97,17 +108,18 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         def linearised() -> tuple[Array, ...]:
             basis = jnp.eye(y.shape[0], dtype=y.dtype)
             jacobian = jax.vmap(lambda t: jax.jvp(lambda y: fn(y, args)[0], (state.trial,), (t,))[1], out_axes=1)(basis)
-            left, singular, right = jnp.linalg.svd(jacobian, full_matrices=False)
-            return loss, left, singular, right, left.T @ residual
+            size = jnp.where(state.first, jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0)), state.size)
+            left, singular, right = jnp.linalg.svd(jacobian / _divisor(size)[None, :], full_matrices=False)
+            return loss, left, singular, right, size, left.T @ residual
 
-        held = state.loss, state.left, state.singular, state.right, state.along
-        held_loss, left, singular, right, along = lax.cond(taken, linearised, lambda: held)
+        held = state.loss, state.left, state.singular, state.right, state.size, state.along
+        held_loss, left, singular, right, size, along = lax.cond(taken, linearised, lambda: held)
         shrunk = state.damping * jnp.maximum(1 / 3, 1 - (2 * jnp.minimum(ratio, 1) - 1) ** 3)
         damping = jnp.where(taken, shrunk, state.damping * state.growth)
         damping = jnp.where(state.first, START * jnp.max(singular, initial=0) ** 2, damping)
         square = singular * singular
         damped = square + damping
-        delta = -(singular * along / jnp.where(damped > 0, damped, 1)) @ right
+        delta = -(singular * along / jnp.where(damped > 0, damped, 1)) @ right / _divisor(size)
         left_over = damping / jnp.where(damped > 0, damped, 1)
         predicted = jnp.sum(along * along * (1 - left_over * left_over))
         tolerance = self.atol + self.rtol * jnp.sqrt(held_loss)
@@ -125,6 +137,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
                 left=left,
                 singular=singular,
                 right=right,
+                size=size,
                 along=along,
                 damping=damping,
                 growth=jnp.where(taken, 2, 2 * state.growth),

@@ -92,7 +92,7 @@ def solve(
     if rounds < 1:
         raise ValueError(f"rounds: got {rounds}, expected an integer >= 1")
     begin = _starts(coordinates, starts)
-    size = _effect(problem, begin[0])
+    size = None if solver is None else _effect(problem, begin[0])
     leads, reached = problem.thins and solver is None, np.zeros(0)
     both = jnp.array([True, False])
     for traced in range(1, rounds + 1):
@@ -100,6 +100,8 @@ def solve(
             judge, walked = problem.steering(), walk(problem.leading(), begin, size, solver, max_steps, both[:1])
         else:
             judge, walked = problem, walk(problem, begin, size, solver, max_steps, both)
+        if traced == 1:
+            _require_effect(coordinates, walked.size[0])
         ends = [look(judge, z) for z in walked.end]
         losses = np.array([float(end.loss) for end in ends])
         best = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
@@ -201,17 +203,22 @@ def _starts(coordinates: Coordinates, starts: Any) -> Float[Array, "start p"]:
 
 
 def _effect(problem: Problem, z: Array) -> Float[Array, " p"]:
-    """Norm of each column of the Jacobian at the start; a parameter without effect is named in an error."""
+    """Norm of each column of the Jacobian at the start, none of them 0."""
     jacobian = linearised(problem.leading(), z)[1]
     size = jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0))
+    _require_effect(problem.coordinates, size)
+    return size
+
+
+def _require_effect(coordinates: Coordinates, size: Array) -> None:
+    """Raise `ValueError` that names the parameters whose columns of the Jacobian have no size."""
     still = np.asarray(size) == 0
     if still.any():
-        names = [label for label, idle in zip(problem.coordinates.labels, still, strict=True) if idle]
+        names = [label for label, idle in zip(coordinates.labels, still, strict=True) if idle]
         shown = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
         raise ValueError(
             f"parameters: {shown} changes nothing in the measured views and bands; remove it or add a prior"
         )
-    return size
 
 
 def _propagated(jacobian: Array, errors: tuple[Array, ...]) -> Float[Array, " p"]:

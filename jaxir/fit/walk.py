@@ -47,12 +47,14 @@ class Walked(NamedTuple):
         steps: [start].
         result: codes [start].
         jacobian: of the residuals walked, there [start, row, p]; None where another solver walked.
+        size: norms of the columns of the first Jacobian, or those given [start, p].
     """
 
     end: Array
     steps: Array
     result: optx.RESULTS
     jacobian: Array | None
+    size: Array
 
 
 class Seen(NamedTuple):
@@ -76,25 +78,27 @@ class Settled(NamedTuple):
 
 @eqx.filter_jit
 def walk(
-    problem: Problem, starts: Array, size: Array, solver: Any, max_steps: int, flat: Bool[Array, " walk"]
+    problem: Problem, starts: Array, size: Array | None, solver: Any, max_steps: int, flat: Bool[Array, " walk"]
 ) -> Walked:
     """Solve from every start.
 
-    The solver moves w = (z - z_begin) * size: a unit step moves the residuals by about one standard deviation
+    Another solver moves w = (z - z_begin) * size: a unit step moves the residuals by about one standard deviation
     whatever the parameter, so damping and tolerances mean the same for all of them. All walks are one compiled loop.
 
     Args:
         problem: what to solve.
         starts: z of the starts [start, p].
-        size: norm of each column of the Jacobian at a start [p].
+        size: norm of each column of the Jacobian at a start [p]; None where our own solver finds it.
         solver: of optimistix; `LevenbergMarquardt` for None.
         max_steps: of each walk.
         flat: one walk after the other, whether on logarithmic residuals [walk].
     """
 
     def one_walk(begin: Array, near: Array) -> tuple[Array, Walked]:
+        unit = jnp.ones_like(begin) if size is None else size
+
         def residual(w: Array) -> Array:
-            r = problem.residual(begin + w / size)
+            r = problem.residual(begin + w / unit)
             return problem.robustly(jnp.where(near, problem.logarithmic(r), r))
 
         function, chosen = with_jacobian(residual) if solver is None else residual, solver
@@ -104,15 +108,15 @@ def walk(
         found: optx.Solution = optx.least_squares(
             lambda w, _: function(w), chosen, jnp.zeros_like(begin), max_steps=max_steps, throw=False
         )
-        end = begin + found.value / size
+        end = begin + found.value / unit
         end = jnp.where(jnp.isfinite(end).all(), end, begin)
-        jacobian = found.state.jacobian * size[None, :] if solver is None else None
-        return end, Walked(end, found.stats["num_steps"], found.result, jacobian)
+        jacobian, sizes = (found.state.jacobian, found.state.size) if solver is None else (None, unit)
+        return end, Walked(end, found.stats["num_steps"], found.result, jacobian, sizes)
 
     def one(start: Array) -> Walked:
         walks = lax.scan(one_walk, start, flat)[1]
         last = jax.tree.map(lambda leaf: leaf[-1], walks)
-        return last._replace(steps=jnp.sum(walks.steps))
+        return last._replace(steps=jnp.sum(walks.steps), size=walks.size[0])
 
     if starts.shape[0] == 1:
         return jax.tree.map(lambda leaf: leaf[None], one(starts[0]))
