@@ -5,8 +5,9 @@ that they have at the start (Marquardt 1963), a step is
 
     d delta = - sum_k v_k s_k c_k / (s_k^2 + damping),    c_k = u_k . residual,
 
-so a unit of damping means the same for all parameters, whatever their units. One decomposition serves every damping that a rejected step asks for. The damping follows the ratio of the fall of
-the loss to the predicted one as in Nielsen, "Damping parameter in Marquardt's method" (IMM-REP-1999-05, DTU, 1999).
+so damping means the same for all parameters, whatever their units, and one decomposition serves every damping that a
+rejected step asks for. The damping follows the ratio of the fall of the loss to the predicted one as in Nielsen,
+"Damping parameter in Marquardt's method" (IMM-REP-1999-05, DTU, 1999).
 
 |c| is the distance to the solution of the linearised problem in units of the residual: where residuals are in standard
 deviations, so is it. The solver stops there, not where a step is short, so a damped step far from the solution ends

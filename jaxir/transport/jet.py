@@ -1,10 +1,11 @@
 """The path integral through a jet, by quadrature and without a grid.
 
 The state of a jet is a function of one number, the exhaust fraction f, so its extinction and emission are tabulated
-over f once for all rays: computed at some knots, and by cubics at the knots between them. A ray is cut where it enters and leaves the cone of the jet's edge and the cone of its core,
-and in each shear layer where it passes the end of the core, at which the jet's decay begins. In the core f is 1: one
-homogeneous layer. In every other piece f is smooth, and equal panels in ln(z + d / 2), which suits both the growth of
-the shear layer and the decay of the jet, are integrated by two points of Gauss and Legendre each:
+over f once for all rays: computed at some knots, and by cubics at the knots between them. A ray is cut where it enters
+and leaves the cone of the jet's edge and the cone of its core, and in each shear layer where it passes the end of the
+core, at which the jet's decay begins. In the core f is 1: one homogeneous layer. In every other piece f is smooth, and
+equal panels in ln(z + d / 2), which suits both the growth of the shear layer and the decay of the jet, are integrated
+by two points of Gauss and Legendre each:
 
     R <- E1 E2 R,    E: through a homogeneous layer,    A1 = a1 - x (a2 - a1),  A2 = a2 + x (a2 - a1),
 
@@ -86,7 +87,7 @@ def jet_medium(jet: JetPlume, nodes: Nodes) -> JetMedium:
     """A jet on the nodes.
 
     Interpolation errs by 2e-5 of the largest emission of a node and 4e-5 of its largest extinction, up to 2500 K;
-    where the gas is above 500 K by 1e-4 of its own emission beyond 3 um and 2e-3 at shorter wavelengths.
+    where the gas is above 500 K by 2e-4 of its own emission beyond 3 um and 2e-3 at shorter wavelengths.
 
     Differentiable in the jet's fields.
     """
@@ -97,8 +98,9 @@ def jet_medium(jet: JetPlume, nodes: Nodes) -> JetMedium:
 
     # Some knots at a time: in one loop with what interpolates between them they would be computed four times each.
     some = lax.map(computed, as_float(np.linspace(0, 1, COMPUTED).reshape(-1, AT_ONCE)))
-    tables = jax.tree.map(lambda table: _refined(table.reshape(COMPUTED, -1)), some)
-    return JetMedium(jet, *tables, None if jet.particles is None else jet.particles.optics(nodes).phase)
+    extinction, emission, scattering = jax.tree.map(lambda table: _refined(table.reshape(COMPUTED, -1)), some)
+    phase = None if jet.particles is None else jet.particles.optics(nodes).phase
+    return JetMedium(jet, extinction, emission, scattering, phase)
 
 
 def _refined(table: Float[Array, "computed node"]) -> Float[Array, "knot node"]:
@@ -120,6 +122,15 @@ class _Chord(NamedTuple):
 
     view: AxisView
     cuts: Array
+
+    def meets(self) -> Array:
+        """Whether the ray enters the jet."""
+        return self.cuts[..., 0] < self.cuts[..., -1]
+
+
+def _chords(jet: JetPlume, rays: Rays, t_max: Float[Array, " ray"]) -> _Chord:
+    """Chords of rays, every leaf with a leading axis [ray]."""
+    return jax.vmap(_chord, in_axes=(None, 0, 0, 0))(jet, rays.origin, rays.direction, t_max)
 
 
 def _chord(jet: JetPlume, origin: Float[Array, " 3"], direction: Float[Array, " 3"], t_max: Float[Array, ""]) -> _Chord:
@@ -144,8 +155,7 @@ def _chord(jet: JetPlume, origin: Float[Array, " 3"], direction: Float[Array, " 
 
 def meets_jet(jet: JetPlume, rays: Rays, t_max: Float[Array, " ray"]) -> Bool[Array, " ray"]:
     """Whether rays enter the jet before `t_max` [ray] [m]; the jet changes nothing on any other."""
-    cuts = jax.vmap(_chord, in_axes=(None, 0, 0, 0))(jet, rays.origin, rays.direction, t_max).cuts
-    return cuts[:, 0] < cuts[:, -1]
+    return _chords(jet, rays, t_max).meets()
 
 
 def _cut(jet: JetPlume, view: AxisView, begin: Array, end: Array, decay: Array) -> Array:
@@ -215,8 +225,8 @@ def _radiance(medium: JetMedium, rays: Rays, t_max: Array, behind: Array) -> Flo
     def along(some: tuple[_Chord, Array]) -> Array:
         return _across(some[1], medium.extinction, medium.emission, *_points(medium.jet, some[0]))
 
-    chord = jax.vmap(_chord, in_axes=(None, 0, 0, 0))(medium.jet, rays.origin, rays.direction, t_max)
-    meets = chord.cuts[:, 0] < chord.cuts[:, -1]
+    chord = _chords(medium.jet, rays, t_max)
+    meets = chord.meets()
     found = for_active(along, meets, (chord, behind), medium.extinction.shape[1])
     return jnp.where(meets[:, None], found, behind)
 
@@ -234,8 +244,8 @@ def _depth(medium: JetMedium, rays: Rays, t_max: Array) -> Float[Array, "ray nod
         none = jnp.zeros((chord.cuts.shape[0], medium.extinction.shape[1]), medium.extinction.dtype)
         return lax.scan(panel, none, points, reverse=True)[0]
 
-    chord = jax.vmap(_chord, in_axes=(None, 0, 0, 0))(medium.jet, rays.origin, rays.direction, t_max)
-    return for_active(along, chord.cuts[:, 0] < chord.cuts[:, -1], chord, medium.extinction.shape[1])
+    chord = _chords(medium.jet, rays, t_max)
+    return for_active(along, chord.meets(), chord, medium.extinction.shape[1])
 
 
 def _points(jet: JetPlume, chord: _Chord) -> tuple[Float[Array, "panel 2 ray"], Float[Array, "panel 2 ray"]]:
@@ -259,10 +269,8 @@ def _points(jet: JetPlume, chord: _Chord) -> tuple[Float[Array, "panel 2 ray"], 
     fraction, length = (x.reshape(4 * jet.panels, 2, -1) for x in pieces)
     half = jnp.broadcast_to((cuts[3] - cuts[2]) / 2, (1, *fraction.shape[1:]))
     core = 2 * jet.panels
-    return tuple(
-        jnp.concatenate([x[:core], middle, x[core:]])
-        for x, middle in ((fraction, jnp.ones_like(half)), (length, half))
-    )
+    fraction = jnp.concatenate([fraction[:core], jnp.ones_like(half), fraction[core:]])
+    return fraction, jnp.concatenate([length[:core], half, length[core:]])
 
 
 @jax.custom_jvp
@@ -286,8 +294,9 @@ def _across(
         crossed = (length > 0).any()
 
         def look_up() -> list[Array]:
-            tables = extinction, emission
-            return [_between(table, f) * half[:, None] for table in tables for f, half in zip(fraction, length)]
+            return [
+                _between(table, fraction[i]) * length[i][:, None] for table in (extinction, emission) for i in (0, 1)
+            ]
 
         layers = [x.reshape(-1) for x in lax.cond(crossed, look_up, lambda: [none] * 4)]
         return lax.cond(crossed, lambda: _front(radiance, *layers), lambda: radiance), None

@@ -117,7 +117,8 @@ def test_fewer_rays_stand_for_all_that_meet_a_jet():
     few, more, all_rays = (int((rays.weight > 0).sum()) for rays in sums)
     assert few < 0.02 * all_rays and more < 0.2 * all_rays
     z = problem.coordinates.origin()
-    leading, steering, exact = (np.asarray(linearised(p, z)[1]) for p in (problem.leading(), problem.steering(), problem))
+    problems = problem.leading(), problem.steering(), problem
+    leading, steering, exact = (np.asarray(linearised(p, z)[1]) for p in problems)
     np.testing.assert_allclose(leading[:, 0], exact[:, 0], rtol=0.05)
     spread = [np.sqrt(np.diag(np.linalg.inv(j.T @ j))) for j in (steering, exact)]
     np.testing.assert_allclose(*spread, rtol=0.02)

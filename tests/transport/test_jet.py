@@ -9,7 +9,7 @@ from jaxir._arrays import as_float
 from jaxir.geometry.ray import Rays
 from jaxir.optics.band import gray_nodes
 from jaxir.transport.jet import jet_medium
-from jaxir.transport.medium import grid_medium
+from jaxir.transport.medium import grid_medium, plume_optics
 from tests.scenes import box_mesh
 
 NOZZLE, AXIS, DIAMETER = np.array([0.3, -0.1, 0.2]), np.array([-2.0, 0.3, 0.1]), 0.5
@@ -243,3 +243,20 @@ def test_a_jet_in_a_scene_hides_and_is_hidden_like_its_twin():
 def test_the_error_names_field_got_and_expected(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+@pytest.mark.parametrize("hot", [900.0, 2500.0])
+def test_tables_of_a_jet_hold_its_optics(hot, x64):
+    """Read along straight lines at four places between knots, against optics computed there."""
+    gas = jaxir.NarrowBandGas(26_500.0, 0.1, 0.08)
+    plume = jaxir.JetPlume(NOZZLE, AXIS, DIAMETER, hot, 218.0, gas)
+    bins = jaxir.resolved_nodes((jaxir.SWIR, jaxir.MWIR, jaxir.LWIR), 400.0, 1, 0)
+    medium = jax.jit(jet_medium)(plume, bins)
+    fraction = as_float(np.linspace(0, 1, 4 * module.KNOTS + 1))
+    exact = plume_optics(plume.mixture(fraction), None, bins, plume.temperature(fraction))
+    for table, want, bound in ((medium.extinction, exact.extinction, 5e-5), (medium.emission, exact.emission, 3e-5)):
+        table, want = np.asarray(table, np.float64), np.asarray(want, np.float64)
+        knots = np.linspace(0, 1, table.shape[0])
+        read = np.stack([np.interp(fraction, knots, column) for column in table.T], axis=1)
+        assert (table >= 0).all()
+        assert (np.abs(read - want) / want.max(axis=0)).max() < bound
