@@ -162,10 +162,11 @@ def approach(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[A
     fewer, steps, known = problem.steering(), 0, None
     step, distance = _step(fewer, seen.residual, jacobian)
     while steps < STEPS and distance > APPROACHED:
-        ahead, slopes = linearised(fewer, z + as_float(step))
+        trial = z + as_float(step)
+        ahead, slopes = linearised(fewer, trial)
         if not ahead.loss < seen.loss:
             break
-        z, seen, known, steps = z + as_float(step), ahead, slopes, steps + 1
+        z, seen, known, steps = trial, ahead, slopes, steps + 1
         step, distance = _step(fewer, seen.residual, known)
     return z, seen, known, steps
 
