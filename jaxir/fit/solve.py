@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -112,18 +113,18 @@ def solve(
             z, seen = (z, seen) if seen.loss < before.loss else (begin[best], before)
         if leads:
             assert walked.jacobian is not None  # of our own solver
-            z, seen, slopes, more = approach(problem, z, seen, walked.jacobian[best])
-            steps += more
+            asked, more = approach(problem, judge, z, seen, walked.jacobian[best])
+            z, steps = asked.z, steps + more
         reached = losses if traced == 1 else reached
-        scene = coordinates.scene(coordinates.values(z))
+        scene = _placed(coordinates, z)[0]
         share = effective_share(problem, scene)
         drifted = bool(share < LEAST_SHARE) or not all(o.holds(scene) for o in problem.observations)
         if not drifted or traced == rounds:
             break
         move = z - begin[best]
         begin = (begin[best] + move / jnp.maximum(1, jnp.max(jnp.abs(move)) / LEAP))[None]
-        problem = problem.retraced(coordinates.scene(coordinates.values(begin[0])))
-    end = settle(problem, z, seen, slopes) if leads else stay(problem, z)
+        problem = problem.retraced(_placed(coordinates, begin[0])[0])
+    end = settle(problem, judge, asked) if leads else stay(problem, z)
     steps += end.steps
     arrived = bool(result == optx.RESULTS.successful) and end.distance <= MISLED
     if leads and not drifted and not arrived:  # fewer rays have misled
@@ -131,10 +132,11 @@ def solve(
         result = _pick(walked.result, 0)
         end = stay(problem, walked.end[0])
         steps += int(walked.steps[0])
-    values, slope, seen = coordinates.values(end.z), coordinates.slope(end.z), end.seen
+    scene, values, slope = _placed(coordinates, end.z)
+    seen = end.seen
     error = tuple((half[0] - half[1]) / 2 for half in seen.halves)
     return Fit(
-        scene=coordinates.scene(values),
+        scene=scene,
         uncertainty=uncertainty(coordinates.labels, coordinates.units, values, slope, end.jacobian),
         residual=tuple(half.mean(axis=0) for half in seen.halves),
         chi_squared=jnp.sum(seen.residual * seen.residual),
@@ -182,6 +184,13 @@ def expected_uncertainty(
 
 def _pick(results: optx.RESULTS, start: int) -> optx.RESULTS:
     return jax.tree.map(lambda leaf: leaf[start], results)
+
+
+@eqx.filter_jit
+def _placed(coordinates: Coordinates, z: Array) -> tuple[Scene, Array, Array]:
+    """The scene at z, the physical values there and their slopes dx/dz."""
+    values = coordinates.values(z)
+    return coordinates.scene(values), values, coordinates.slope(z)
 
 
 def effective_share(problem: Problem, scene: Scene) -> Float[Array, ""]:

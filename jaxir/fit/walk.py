@@ -26,6 +26,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float
+from jaxir._concurrent import side_by_side
 from jaxir.fit.descent import LevenbergMarquardt
 from jaxir.fit.problem import Problem, value_and_jacobian, with_jacobian
 
@@ -58,12 +59,30 @@ class Walked(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Residuals at a point: of both halves of the rays per measurement and of the priors; and their loss."""
+    """Residuals at a point.
+
+    Attributes:
+        halves: of both halves of the rays, per measurement.
+        residual: all of them, priors last.
+        robust: those whose squares are the loss.
+        bend: their derivatives by `residual`.
+        loss: sum of the squares.
+    """
 
     halves: tuple[Array, ...]
-    prior: Array
     residual: Array
+    robust: Array
+    bend: Array
     loss: Array
+
+
+class Asked(NamedTuple):
+    """A point, what all rays and those that steer say of it, and the Jacobian of the residuals of the latter."""
+
+    z: Array
+    every: Seen
+    seen: Seen
+    jacobian: Array
 
 
 class Settled(NamedTuple):
@@ -142,60 +161,68 @@ def linearised(problem: Problem, z: Array) -> tuple[Seen, Float[Array, "row p"]]
 
 
 def _seen(problem: Problem, z: Array) -> Seen:
-    halves, prior = problem.halves(z), problem.prior(z)
-    residual = problem.stacked(halves, prior)
-    return Seen(halves, prior, residual, jnp.sum(problem.robustly(residual) ** 2))
+    halves = problem.halves(z)
+    residual = problem.stacked(halves, problem.prior(z))
+    robust, bend = jax.jvp(problem.robustly, (residual,), (jnp.ones_like(residual),))
+    return Seen(halves, residual, robust, bend, jnp.sum(robust * robust))
 
 
-def approach(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[Array, Seen, Array | None, int]:
+def _ask(problem: Problem, fewer: Problem, z: Array) -> Asked:
+    """The value of all rays and the slopes of fewer, the two dearest parts of a solution, side by side."""
+    every, (seen, jacobian) = side_by_side(lambda: look(problem, z), lambda: linearised(fewer, z))
+    return Asked(z, every, seen, jacobian)
+
+
+def approach(problem: Problem, fewer: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[Asked, int]:
     """From near the solution to about the minimum of the rays that steer: Gauss-Newton steps that lower the loss.
+
+    All rays are asked at every step, while the slopes of the fewer are found: mostly one step is enough, and then
+    their value there is what `settle` needs.
 
     Args:
         problem: what to solve.
+        fewer: the same with the rays that steer.
         z: near the solution [p].
         seen: of the rays that steer, at z.
         jacobian: of those that lead, at z.
 
     Returns:
-        A point, what the rays that steer say of it, their Jacobian there, where it is known, and steps taken.
+        Where it ended, and steps taken.
     """
-    fewer, steps, known = problem.steering(), 0, None
-    step, distance = _step(fewer, seen.residual, jacobian)
+    asked, steps = None, 0
+    step, distance = _step(seen, jacobian)
     while steps < STEPS and distance > APPROACHED:
-        trial = z + as_float(step)
-        ahead, slopes = linearised(fewer, trial)
-        if not ahead.loss < seen.loss:
+        ahead = _ask(problem, fewer, z + as_float(step))
+        if not ahead.seen.loss < seen.loss:
             break
-        z, seen, known, steps = trial, ahead, slopes, steps + 1
-        step, distance = _step(fewer, seen.residual, known)
-    return z, seen, known, steps
+        asked, z, seen, steps = ahead, ahead.z, ahead.seen, steps + 1
+        step, distance = _step(seen, ahead.jacobian)
+    return asked or _ask(problem, fewer, z), steps
 
 
-def settle(problem: Problem, z: Array, seen: Seen, known: Array | None) -> Settled:
+def settle(problem: Problem, fewer: Problem, asked: Asked) -> Settled:
     """From about the minimum of the rays that steer to that of all rays.
 
     Args:
         problem: what to solve.
-        z: about the minimum of the rays that steer [p].
-        seen: of them, at z.
-        known: their Jacobian there, if known.
+        fewer: the same with the rays that steer.
+        asked: about the minimum of those.
 
     Returns:
         Where it ended. Residuals are those of all rays at the last point where they were evaluated, and from there on
         change as those of the rays that steer.
     """
-    fewer, total = problem.steering(), 0
-    for _ in range(LOOKS):
-        begin, every = z, look(problem, z)
-        fewer = fewer.completed(every.halves, seen.halves)
-        jacobian = linearised(fewer, z)[1] if known is None else known
-        z, seen, left, steps = _descend(fewer, z, every, jacobian)
+    z, total = asked.z, 0
+    for turn in range(LOOKS):
+        asked = _ask(problem, fewer, z) if turn else asked
+        completed = fewer.completed(asked.every.halves, asked.seen.halves)
+        z, seen, left, steps = _descend(completed, asked.z, asked.every, asked.jacobian)
         total += steps
-        way = np.asarray(jacobian, np.float64) @ np.asarray(z - begin, np.float64)
-        distance, known = left + SLOPES * float(np.linalg.norm(way)), None
+        way = np.asarray(asked.jacobian, np.float64) @ np.asarray(z - asked.z, np.float64)
+        distance = left + SLOPES * float(np.linalg.norm(way))
         if distance <= SETTLED:
             break
-    return Settled(z, seen, jacobian, distance, total)
+    return Settled(z, seen, asked.jacobian, distance, total)
 
 
 def _descend(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[Array, Seen, float, int]:
@@ -207,28 +234,27 @@ def _descend(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[A
         The point, what is seen there, the distance that is left, steps taken.
     """
     steps = 0
-    step, distance = _step(problem, seen.residual, jacobian)
+    step, distance = _step(seen, jacobian)
     while steps < STEPS and distance > THERE:
         trial = z + as_float(step)
         ahead = look(problem, trial)
         if not ahead.loss < seen.loss:
             break
         z, seen, steps = trial, ahead, steps + 1
-        step, distance = _step(problem, seen.residual, jacobian)
+        step, distance = _step(seen, jacobian)
     return z, seen, distance, steps
 
 
 def stay(problem: Problem, z: Array) -> Settled:
     """A point, with the slopes of all rays there."""
     seen, jacobian = linearised(problem, z)
-    return Settled(z, seen, jacobian, _step(problem, seen.residual, jacobian)[1], 0)
+    return Settled(z, seen, jacobian, _step(seen, jacobian)[1], 0)
 
 
-def _step(problem: Problem, residual: Array, jacobian: Array) -> tuple[np.ndarray, float]:
+def _step(seen: Seen, jacobian: Array) -> tuple[np.ndarray, float]:
     """The step to the solution of the linearised problem, and its distance."""
-    robust, slope = jax.jvp(problem.robustly, (residual,), (jnp.ones_like(residual),))
-    scaled = np.asarray(slope, np.float64)[:, None] * np.asarray(jacobian, np.float64)
+    scaled = np.asarray(seen.bend, np.float64)[:, None] * np.asarray(jacobian, np.float64)
     left, singular, right = np.linalg.svd(scaled, full_matrices=False)
     known = singular * DETERMINED > 1
-    along = (left.T @ np.asarray(robust, np.float64))[known]
+    along = (left.T @ np.asarray(seen.robust, np.float64))[known]
     return -(along / singular[known]) @ right[known], float(np.linalg.norm(along))
