@@ -5,7 +5,6 @@ each of which runs on a core of its own, while one device alone has helpers on t
 interleaved rounds without compilation.
 """
 
-import argparse
 import csv
 import os
 import sys
@@ -21,14 +20,14 @@ import numpy as np  # noqa: E402
 
 import jaxir  # noqa: E402
 from studies.aircraft import generic_aircraft  # noqa: E402
-from studies.charts import out_folder  # noqa: E402
+from studies.charts import options, out_folder  # noqa: E402
 
 VIEWS, ROUNDS = 32, 7
 SIZES = ((128, 2), (256, 8))  # rows and columns, rays per pixel
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.devices", description=__doc__.split("\n")[0])
+    parser = options("devices", __doc__)
     parser.add_argument("--out", type=Path, default=out_folder("devices"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)
     vertices, faces, _ = generic_aircraft()

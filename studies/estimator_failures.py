@@ -8,7 +8,6 @@ is naive: the same estimators differentiated at held random numbers, so that the
 medium and its weight does not.
 """
 
-import argparse
 import csv
 import sys
 from pathlib import Path
@@ -22,6 +21,7 @@ from tqdm import tqdm
 import jaxir
 from jaxir.geometry.walk import Crossings
 from jaxir.transport.crossing_sum import crossing_sum
+from studies.charts import options
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -151,7 +151,7 @@ def chart(path: Path, rows: list[dict], count: int) -> None:
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.estimator_failures", description=__doc__.split("\n")[0])
+    parser = options("estimator_failures", __doc__)
     parser.add_argument("--samples", type=int, default=20000, help="per point of the map (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("studies/out/estimator_failures"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)

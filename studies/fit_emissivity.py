@@ -14,7 +14,7 @@ from tqdm import tqdm
 import jaxir
 from jaxir.fit import measured_intensity, part_emissivity, prepare, solve
 from studies import aircraft
-from studies.charts import out_folder
+from studies.charts import options, out_folder
 from studies.fitting import error_bars, finite_differences, timed_solve
 
 matplotlib.use("Agg")
@@ -25,6 +25,7 @@ TRUTH = np.array([0.85, 0.7, 0.4, 0.55])
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
 VIEWS = [(30.0 * k, (10.0, 25.0, 50.0)[k % 3]) for k in range(12)]
 NOISE = 0.01
+DRAWS = 1000  # of noise, for coverage
 FINE = {"shape": (96, 96), "samples": 8}  # rays enough that their error stays below the noise
 COARSE = {"shape": (32, 32), "samples": 2}  # for coverage, where truth and fit share their rays
 
@@ -42,7 +43,8 @@ def scene(emissivity: np.ndarray) -> jaxir.Scene:
     return jaxir.Scene(skin, sources=(jaxir.ParallelSource((0.0, 0.0, -1.0), (10.0, 1.0, 0.05)),))
 
 
-def main(draws: int = 1000) -> None:
+def main() -> None:
+    options("fit_emissivity", __doc__).parse_args()
     out = out_folder("fit_emissivity")
     start = scene(np.full(4, 0.6))
     signature = jaxir.signature(scene(TRUTH), VIEWS, BANDS, shape=(256, 256), samples=8)
@@ -59,7 +61,7 @@ def main(draws: int = 1000) -> None:
     quick = prepare(start, parameters, [measured_intensity(start, VIEWS, BANDS, noisy, spread, **COARSE)])
     reference = np.asarray(quick.observations[0].predict_halves(scene(TRUTH)).mean(axis=0))
     inside = []
-    for _ in tqdm(range(draws), desc="coverage", leave=False):
+    for _ in tqdm(range(DRAWS), desc="coverage", leave=False):
         got = solve(quick.with_values([reference + spread * rng.normal(size=exact.shape)])).uncertainty
         inside.append(np.abs(np.asarray(got.value) - TRUTH) < np.asarray(got.standard_deviation))
     coverage = np.mean(inside, axis=0)
@@ -74,7 +76,7 @@ def main(draws: int = 1000) -> None:
     axis.set_title("emissivity from 12 aspects, 3 bands, 1 % noise")
     figure.savefig(out / "fit_emissivity.png", dpi=100)
     print(found)
-    coverage_said = f"{100 * coverage.min():.1f} to {100 * coverage.max():.1f} % of {draws} draws"
+    coverage_said = f"{100 * coverage.min():.1f} to {100 * coverage.max():.1f} % of {DRAWS} draws"
     print(
         f"worst deviation {np.abs((value - TRUTH) / deviation).max():.1f} sigma; one-sigma coverage {coverage_said}; "
         f"{seconds:.2f} s ({first:.1f} s with compilation) against {baseline.seconds:.2f} s "

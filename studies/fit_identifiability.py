@@ -16,7 +16,7 @@ from jaxir.fit import Factor, Measurement, expected_uncertainty, measured_image,
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-from studies.charts import out_folder  # noqa: E402
+from studies.charts import options, out_folder  # noqa: E402
 
 PIXEL = jaxir.orthographic_camera(0.0, 0.0, 0.1, (1, 1))
 PARAMETERS = [Factor("temperature", lambda s: s.plume.temperature), Factor("depth", lambda s: s.plume.gas.coefficient)]
@@ -52,6 +52,7 @@ def coverage(draws: int) -> np.ndarray:
 
 
 def main() -> None:
+    options("fit_identifiability", __doc__).parse_args()
     out = out_folder("fit_identifiability")
     depths = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 3.0, 5.0])
     began = time.perf_counter()

@@ -17,7 +17,7 @@ import optimistix as optx
 
 import jaxir
 from jaxir.fit import Bounds, Leaf, SmoothPrior, measured_image, prepare, solve
-from studies.charts import out_folder
+from studies.charts import options, out_folder
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -57,6 +57,7 @@ def measured(truth: np.ndarray) -> list:
 
 
 def main() -> None:
+    options("fit_image", __doc__).parse_args()
     out = out_folder("fit_image")
     truth = true_field()
     problem = prepare(scene(START), FIELD, measured(truth), priors={"temperature": SmoothPrior(SHAPE, STEP)})

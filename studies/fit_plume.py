@@ -17,7 +17,7 @@ import numpy as np
 import jaxir
 from jaxir.fit import jet_parameter, measured_intensity, mole_fraction_scale, particle_loading, prepare
 from jaxir.optics.particles import ParticleTable
-from studies.charts import judge, out_folder
+from studies.charts import judge, options, out_folder
 from studies.fitting import error_bars, finite_differences, timed_solve, tracing_every_step
 
 matplotlib.use("Agg")
@@ -72,6 +72,7 @@ def scene(temperature: float, scale: float, core: float, load: float, table: Par
 
 
 def main() -> None:
+    options("fit_plume", __doc__).parse_args()
     out = out_folder("fit_plume")
     table = soot()
     seen = {"scattering": SCATTERING, "key": jax.random.key(1)}

@@ -6,7 +6,6 @@ an array, the crossings read at least: extinction and emission, 4 bytes each per
 on every backend; without an accelerator the CPU alone is measured, and the output says so.
 """
 
-import argparse
 import csv
 import sys
 import time
@@ -19,7 +18,7 @@ import numpy as np
 import jaxir
 from jaxir.geometry.camera import fitted_camera
 from jaxir.geometry.walk import crossings
-from studies.charts import out_folder
+from studies.charts import options, out_folder
 from studies.scaling import SUN, bands, body, gas
 
 PIXELS, ROUNDS, CELLS, NODES = 256, 5, 300_000, (1, 16)
@@ -78,7 +77,7 @@ def measure(device) -> list[dict]:
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.gpu", description=__doc__.split("\n")[0])
+    parser = options("gpu", __doc__)
     parser.add_argument("--out", type=Path, default=out_folder("gpu"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)
     devices = list({device.platform: device for device in (*jax.devices(), jax.devices("cpu")[0])}.values())

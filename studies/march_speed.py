@@ -11,7 +11,6 @@ were traced before, and the whole evaluation with its Planck functions), and, fo
 600 x 48 x 48 cells from six aspects, what parallel rays through its box save beside images of equal error.
 """
 
-import argparse
 import csv
 import json
 import math
@@ -36,6 +35,7 @@ from jaxir.transport.evaluate import evaluate
 from jaxir.transport.march import march
 from jaxir.transport.paths import store_crossings, trace
 from jaxir.transport.radiometry import radiometry
+from studies.charts import options
 
 SETTING = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536"
 GRIDS = {  # cells, size [m], aspect (azimuth, elevation) [deg], optical depth across the smallest side
@@ -305,7 +305,7 @@ def write(path: Path, rows: list[dict]) -> None:
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.march_speed", description=__doc__.split("\n")[0])
+    parser = options("march_speed", __doc__)
     parser.add_argument("--grids", nargs="+", choices=list(GRIDS), default=list(GRIDS))
     parser.add_argument("--out", type=Path, default=Path("studies/out/march_speed"), help="folder (%(default)s)")
     parser.add_argument("--here", action="store_true", help="only this process, as it is; prints JSON")

@@ -13,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from studies.charts import out_folder
+from studies.charts import options, out_folder
 
 SAMPLES = (2, 4, 8, 18, 32, 72, 128, 288)
 REPEATS = 5
@@ -144,6 +144,7 @@ def compare(name, scene, ways, pixel, rtol):
 
 
 def main():
+    options("plan_choice", __doc__).parse_args()
     grid = [(scene, rtol) for scene in scenes() for rtol in (PATHS if "particles" in scene[0] else TOLERANCES)]
     out = out_folder("plan_choice")
     rows = []

@@ -4,7 +4,6 @@ A plate of 1 m2: at 400 K with emissivity .5 (3-5 um), I = eps A B cos(theta); c
 source of irradiance 100 W m-2, I = rho E cos(theta_i) cos(theta_o) A / pi. The paper's errors are .048 % and .023 %.
 """
 
-import argparse
 import csv
 import sys
 from pathlib import Path
@@ -16,6 +15,7 @@ from scipy.integrate import quad
 
 import jaxir
 from studies import charts  # noqa: F401  (chooses the backend)
+from studies.charts import options
 
 ANGLES = np.arange(0.0, 86.0, 5.0)
 PAPER = {"emitting plate": 4.8e-4, "plate under a parallel source": 2.3e-4}
@@ -46,7 +46,7 @@ def cases() -> dict[str, tuple[jaxir.Scene, np.ndarray]]:
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.plate", description=__doc__.split("\n")[0])
+    parser = options("plate", __doc__)
     parser.add_argument("--out", type=Path, default=Path("studies/out/plate"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)
     chosen.out.mkdir(parents=True, exist_ok=True)

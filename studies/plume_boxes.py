@@ -5,7 +5,6 @@ Yu et al. (10.3788/IRLA20200241), section 2.2: a thick box (2 x 2 x 2 m, absorpt
 rays cross the silhouette in the middle of `--columns` strips; the closed form is integrated over the silhouette.
 """
 
-import argparse
 import csv
 import sys
 import time
@@ -19,6 +18,7 @@ import numpy as np
 import jaxir
 from jaxir.geometry.ray import Rays
 from jaxir.geometry.walk import crossings
+from studies.charts import options
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -54,7 +54,7 @@ def mean(path, lists, mu, j, behind, keys):
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.plume_boxes", description=__doc__.split("\n")[0])
+    parser = options("plume_boxes", __doc__)
     parser.add_argument("--columns", type=int, default=500, help="strips across the silhouette (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("studies/out/plume_boxes"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)

@@ -6,7 +6,6 @@ The relative error of a pixel is averaged as root mean square over the object's 
 background pixels, whose error is 0, with every pixel of the object.
 """
 
-import argparse
 import csv
 import sys
 import time
@@ -19,6 +18,7 @@ import numpy as np
 
 import jaxir
 from jaxir.geometry.walk import Crossings
+from studies.charts import options
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -50,7 +50,7 @@ def image(path, lists, mu, behind, keys):
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.plume_convergence", description=__doc__.split("\n")[0])
+    parser = options("plume_convergence", __doc__)
     parser.add_argument("--out", type=Path, default=Path("studies/out/plume_convergence"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)
     chosen.out.mkdir(parents=True, exist_ok=True)

@@ -17,7 +17,7 @@ from tqdm import tqdm
 import jaxir
 from jaxir import BrdfSampling, PlumeLight, Reflection
 from studies import aircraft
-from studies.charts import out_folder
+from studies.charts import options, out_folder
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -94,6 +94,7 @@ def measured(scene: jaxir.Scene, camera: jaxir.Camera, name: str) -> list[dict]:
 
 
 def main() -> None:
+    options("plume_on_skin", __doc__).parse_args()
     out = out_folder("plume_on_skin")
     rows = [row for name, case in cases().items() for row in measured(*case, name)]
     with open(out / "plume_on_skin.csv", "w", newline="") as file:

@@ -7,7 +7,6 @@ shared vertices and edges of a convex body, over scales, distances and slopes do
 each must enter once and leave once. Writes two CSVs.
 """
 
-import argparse
 import csv
 import itertools
 import sys
@@ -22,6 +21,7 @@ import jaxir
 from jaxir.geometry.mesh import closest_hit
 from jaxir.geometry.ray import Bundle, Rays
 from jaxir.geometry.shadow import orthonormal
+from studies.charts import options
 from studies.ray_throughput import aircraft, embree, sphere
 
 EXCUSED = 1e-6  # distance from an edge, relative to the face, within which rounding decides
@@ -234,7 +234,7 @@ def write(path: Path, rows: list[dict[str, Any]]) -> dict[str, int]:
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.ray_agreement", description=__doc__.split("\n")[0])
+    parser = options("ray_agreement", __doc__)
     parser.add_argument("--rays", type=int, default=1_000_000, help="through each mesh (%(default)s)")
     parser.add_argument(
         "--seams", type=int, default=24_000_000, help="at edges and vertices; half are clear (%(default)s)"

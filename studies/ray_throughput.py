@@ -24,6 +24,7 @@ from jaxir.geometry.mesh import any_hit, closest_hit
 from jaxir.geometry.ray import Bundle, Rays
 from jaxir.geometry.shadow import occluded
 from studies.aircraft import generic_aircraft
+from studies.charts import options
 
 SUN = np.array([0.3, 0.4, 0.8]) / np.linalg.norm([0.3, 0.4, 0.8])
 DISTANCE = 5000.0  # of the camera [m]
@@ -289,7 +290,7 @@ def aside(call: str, **variables: str) -> list[float]:
 
 
 def arguments(argv: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m studies.ray_throughput", description=__doc__.split("\n")[0])
+    parser = options("ray_throughput", __doc__)
     parser.add_argument("--quick", action="store_true", help="small meshes and pictures, a minute or less")
     parser.add_argument("--no-peers", action="store_true", help="measure jaxir alone")
     parser.add_argument("--repeat", type=int, default=5, help="repetitions of which the median counts (%(default)s)")

@@ -5,7 +5,6 @@ chunk, which bounds a render whatever the image (64 tiles of 256 rays). Exponent
 points of each curve. `--full` goes to 1e6 triangles and 6e7 cells.
 """
 
-import argparse
 import csv
 import sys
 import time
@@ -20,7 +19,7 @@ import jaxir
 from jaxir.geometry.camera import fitted_camera, pixel_strata
 from jaxir.render.chunks import Pass, compiled_radiometry, estimate_chunk, method_of
 from studies.aircraft import generic_aircraft
-from studies.charts import out_folder
+from studies.charts import options, out_folder
 
 PIXELS, ROUNDS = 256, 3
 SUN = jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0)
@@ -126,7 +125,7 @@ def chart(rows: list[dict], out: Path) -> list[str]:
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.scaling", description=__doc__.split("\n")[0])
+    parser = options("scaling", __doc__)
     parser.add_argument("--full", action="store_true", help="1e6 triangles, 6e7 cells, 256 nodes too")
     parser.add_argument("--out", type=Path, default=out_folder("scaling"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)

@@ -6,7 +6,6 @@ and truncated to 8 bits, as images on a screen are. Errors are relative root mea
 closed form.
 """
 
-import argparse
 import csv
 import sys
 import time
@@ -25,6 +24,7 @@ from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
 from jaxir.transport.radiometry import radiometry
 from studies import charts  # noqa: F401  (chooses the backend)
+from studies.charts import options
 
 NODES = jaxir.gray_nodes((jaxir.MWIR,))
 HEIGHT, OFFSET, RADIUS, RADIANCE, REFLECTANCE = 1.8, 1.2, 1.0, 100.0, 0.5
@@ -134,7 +134,7 @@ def chart(path: Path, rows: list[dict]) -> None:
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.skin_convergence", description=__doc__.split("\n")[0])
+    parser = options("skin_convergence", __doc__)
     parser.add_argument("--pixels", type=int, default=64, help="rows and columns (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("studies/out/skin_convergence"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)

@@ -7,7 +7,6 @@ HITRAN file is needed, and CO2 is the only absorber. The air's emission is left 
 the grid of the reference: its error is that of single precision alone.
 """
 
-import argparse
 import csv
 import sys
 import time
@@ -27,6 +26,7 @@ from jaxir.geometry.ray import Rays
 from jaxir.io.k_tables import tabulate
 from jaxir.optics.ranking import bins_of, slot_means
 from studies import co2_lines as lines
+from studies.charts import options
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -146,7 +146,7 @@ def parallel_rays(count):
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.spectral_fidelity", description=__doc__.split("\n")[0])
+    parser = options("spectral_fidelity", __doc__)
     parser.add_argument("--repeat", type=int, default=3, help="evaluations of which the fastest counts (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("studies/out/spectral_fidelity"), help="folder (%(default)s)")
     chosen = parser.parse_args(argv)

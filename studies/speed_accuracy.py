@@ -10,7 +10,6 @@ equivalent, an exact walk and a point estimator written in Dr.Jit, stands for it
 python -m studies.speed_accuracy [--cases ramp,disc] [--rounds 3]
 """
 
-import argparse
 import csv
 import sys
 import time
@@ -30,7 +29,7 @@ from jaxir.geometry.camera import view_frame
 from jaxir.geometry.ray import Rays
 from studies import mitsuba_peer
 from studies.aircraft import generic_aircraft
-from studies.charts import judge, out_folder
+from studies.charts import judge, options, out_folder
 from studies.march_speed import native_walk
 
 BAND = jaxir.MWIR
@@ -424,7 +423,7 @@ def chart(path: Path, rows: list[dict], cases: list[str]) -> None:
 
 
 def main(argv: list[str]) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.speed_accuracy", description=__doc__.split("\n")[0])
+    parser = options("speed_accuracy", __doc__)
     parser.add_argument("--cases", default=",".join(CASES), help="some of %(default)s")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--out", type=Path, default=out_folder("speed_accuracy"), help="folder (%(default)s)")

@@ -29,7 +29,7 @@ from jaxir.io.results import save_image, save_signature, save_tiff
 from jaxir.io.sweep import sweep
 from jaxir.render import Signature
 from studies import aircraft
-from studies.charts import radiance_panels
+from studies.charts import options, radiance_panels
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -331,7 +331,7 @@ def conclusions(tables: Tables, side: dict[str, Side]) -> list[str]:
 
 
 def arguments(argv: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m studies.stealth_aircraft", description=__doc__.split("\n")[0])
+    parser = options("stealth_aircraft", __doc__)
     parser.add_argument("--quick", action="store_true", help="few aspects and pixels: minutes instead of hours")
     parser.add_argument("--mesh", help="your own mesh (STL, OBJ, PLY, GLB), nose along +x, z up")
     parser.add_argument("--unit", choices=list(METRES), help="length unit of --mesh (required with it)")

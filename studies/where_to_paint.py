@@ -14,7 +14,7 @@ import jaxir
 from jaxir.fit import measured_intensity, sensitivity
 from jaxir.io.maps import save_face_values
 from studies import aircraft
-from studies.charts import out_folder
+from studies.charts import options, out_folder
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -24,6 +24,7 @@ BAND = jaxir.LWIR
 
 
 def main() -> None:
+    options("where_to_paint", __doc__).parse_args()
     out = out_folder("where_to_paint")
     began = time.perf_counter()
     vertices, faces, part = aircraft.generic_aircraft()
