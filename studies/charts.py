@@ -1,6 +1,5 @@
-"""The command line, charts and sentences that several studies make."""
+"""Charts and sentences that several studies make."""
 
-import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,11 +9,6 @@ matplotlib.use("Agg")
 
 from jaxir import plot  # noqa: E402
 from jaxir.render import Image  # noqa: E402
-
-
-def options(study: str, text: str) -> argparse.ArgumentParser:
-    """The command line of a study, which says the first line of its text; a study adds what it can be told."""
-    return argparse.ArgumentParser(prog=f"python -m studies.{study}", description=text.split("\n")[0])
 
 
 def out_folder(study: str) -> Path:

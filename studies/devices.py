@@ -19,8 +19,9 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
 import jaxir  # noqa: E402
+from studies import options  # noqa: E402
 from studies.aircraft import generic_aircraft  # noqa: E402
-from studies.charts import options, out_folder  # noqa: E402
+from studies.charts import out_folder  # noqa: E402
 
 VIEWS, ROUNDS = 32, 7
 SIZES = ((128, 2), (256, 8))  # rows and columns, rays per pixel

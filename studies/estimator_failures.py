@@ -21,7 +21,7 @@ from tqdm import tqdm
 import jaxir
 from jaxir.geometry.walk import Crossings
 from jaxir.transport.crossing_sum import crossing_sum
-from studies.charts import options
+from studies import options
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402

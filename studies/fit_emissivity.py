@@ -13,8 +13,8 @@ from tqdm import tqdm
 
 import jaxir
 from jaxir.fit import measured_intensity, part_emissivity, prepare, solve
-from studies import aircraft
-from studies.charts import options, out_folder
+from studies import aircraft, options
+from studies.charts import out_folder
 from studies.fitting import error_bars, finite_differences, timed_solve
 
 matplotlib.use("Agg")

@@ -16,7 +16,8 @@ from jaxir.fit import Factor, Measurement, expected_uncertainty, measured_image,
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-from studies.charts import options, out_folder  # noqa: E402
+from studies import options
+from studies.charts import out_folder  # noqa: E402
 
 PIXEL = jaxir.orthographic_camera(0.0, 0.0, 0.1, (1, 1))
 PARAMETERS = [Factor("temperature", lambda s: s.plume.temperature), Factor("depth", lambda s: s.plume.gas.coefficient)]

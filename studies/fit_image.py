@@ -17,7 +17,8 @@ import optimistix as optx
 
 import jaxir
 from jaxir.fit import Bounds, Leaf, SmoothPrior, measured_image, prepare, solve
-from studies.charts import options, out_folder
+from studies import options
+from studies.charts import out_folder
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402

@@ -18,7 +18,8 @@ import numpy as np
 import jaxir
 from jaxir.geometry.camera import fitted_camera
 from jaxir.geometry.walk import crossings
-from studies.charts import options, out_folder
+from studies import options
+from studies.charts import out_folder
 from studies.scaling import SUN, bands, body, gas
 
 PIXELS, ROUNDS, CELLS, NODES = 256, 5, 300_000, (1, 16)

@@ -35,7 +35,7 @@ from jaxir.transport.evaluate import evaluate
 from jaxir.transport.march import march
 from jaxir.transport.paths import store_crossings, trace
 from jaxir.transport.radiometry import radiometry
-from studies.charts import options
+from studies import options
 
 SETTING = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536"
 GRIDS = {  # cells, size [m], aspect (azimuth, elevation) [deg], optical depth across the smallest side

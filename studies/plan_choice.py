@@ -13,7 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from studies.charts import options, out_folder
+from studies import options
+from studies.charts import out_folder
 
 SAMPLES = (2, 4, 8, 18, 32, 72, 128, 288)
 REPEATS = 5

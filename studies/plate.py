@@ -14,8 +14,10 @@ import scipy.constants as si
 from scipy.integrate import quad
 
 import jaxir
-from studies import charts  # noqa: F401  (chooses the backend)
-from studies.charts import options
+from studies import (
+    charts,  # noqa: F401  (chooses the backend)
+    options,
+)
 
 ANGLES = np.arange(0.0, 86.0, 5.0)
 PAPER = {"emitting plate": 4.8e-4, "plate under a parallel source": 2.3e-4}

@@ -18,7 +18,7 @@ import numpy as np
 
 import jaxir
 from jaxir.geometry.walk import Crossings
-from studies.charts import options
+from studies import options
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402

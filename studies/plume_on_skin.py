@@ -16,8 +16,8 @@ from tqdm import tqdm
 
 import jaxir
 from jaxir import BrdfSampling, PlumeLight, Reflection
-from studies import aircraft
-from studies.charts import options, out_folder
+from studies import aircraft, options
+from studies.charts import out_folder
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402

@@ -21,7 +21,7 @@ import jaxir
 from jaxir.geometry.mesh import closest_hit
 from jaxir.geometry.ray import Bundle, Rays
 from jaxir.geometry.shadow import orthonormal
-from studies.charts import options
+from studies import options
 from studies.ray_throughput import aircraft, embree, sphere
 
 EXCUSED = 1e-6  # distance from an edge, relative to the face, within which rounding decides

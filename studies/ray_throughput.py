@@ -23,8 +23,8 @@ import jaxir
 from jaxir.geometry.mesh import any_hit, closest_hit
 from jaxir.geometry.ray import Bundle, Rays
 from jaxir.geometry.shadow import occluded
+from studies import options
 from studies.aircraft import generic_aircraft
-from studies.charts import options
 
 SUN = np.array([0.3, 0.4, 0.8]) / np.linalg.norm([0.3, 0.4, 0.8])
 DISTANCE = 5000.0  # of the camera [m]

@@ -18,8 +18,9 @@ from tqdm import tqdm
 import jaxir
 from jaxir.geometry.camera import fitted_camera, pixel_strata
 from jaxir.render.chunks import Pass, compiled_radiometry, estimate_chunk, method_of
+from studies import options
 from studies.aircraft import generic_aircraft
-from studies.charts import options, out_folder
+from studies.charts import out_folder
 
 PIXELS, ROUNDS = 256, 3
 SUN = jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0)

@@ -23,8 +23,10 @@ from jaxir.geometry.ray import Rays
 from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
 from jaxir.transport.radiometry import radiometry
-from studies import charts  # noqa: F401  (chooses the backend)
-from studies.charts import options
+from studies import (
+    charts,  # noqa: F401  (chooses the backend)
+    options,
+)
 
 NODES = jaxir.gray_nodes((jaxir.MWIR,))
 HEIGHT, OFFSET, RADIUS, RADIANCE, REFLECTANCE = 1.8, 1.2, 1.0, 100.0, 0.5

@@ -26,7 +26,7 @@ from jaxir.geometry.ray import Rays
 from jaxir.io.k_tables import tabulate
 from jaxir.optics.ranking import bins_of, slot_means
 from studies import co2_lines as lines
-from studies.charts import options
+from studies import options
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402

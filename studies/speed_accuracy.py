@@ -27,9 +27,9 @@ from tqdm import tqdm
 import jaxir
 from jaxir.geometry.camera import view_frame
 from jaxir.geometry.ray import Rays
-from studies import mitsuba_peer
+from studies import mitsuba_peer, options
 from studies.aircraft import generic_aircraft
-from studies.charts import judge, options, out_folder
+from studies.charts import judge, out_folder
 from studies.march_speed import native_walk
 
 BAND = jaxir.MWIR

@@ -28,8 +28,8 @@ from jaxir.io.meshes import METRES, load_mesh
 from jaxir.io.results import save_image, save_signature, save_tiff
 from jaxir.io.sweep import sweep
 from jaxir.render import Signature
-from studies import aircraft
-from studies.charts import options, radiance_panels
+from studies import aircraft, options
+from studies.charts import radiance_panels
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402

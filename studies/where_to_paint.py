@@ -13,8 +13,8 @@ import numpy as np
 import jaxir
 from jaxir.fit import measured_intensity, sensitivity
 from jaxir.io.maps import save_face_values
-from studies import aircraft
-from studies.charts import options, out_folder
+from studies import aircraft, options
+from studies.charts import out_folder
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
