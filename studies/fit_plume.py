@@ -120,7 +120,7 @@ def main() -> None:
         right.loglog(baseline.at, np.minimum.accumulate(baseline.cost), drawstyle="steps-post", label=name)
     right.loglog([seconds], [float(found.chi_squared)], "o", label="jaxir.fit")
     right.set(xlabel="seconds, compilation apart", ylabel="chi-squared of the best point")
-    right.legend(loc="center left")
+    right.legend(loc="center left", fontsize="small")
     figure.savefig(out / "fit_plume.png", dpi=100)
     print(found)
     albedo = np.asarray(table.scattering / table.extinction)
