@@ -44,7 +44,6 @@ def scene(emissivity: np.ndarray) -> jaxir.Scene:
 
 
 def main() -> None:
-    options("fit_emissivity", __doc__).parse_args()
     out = out_folder("fit_emissivity")
     start = scene(np.full(4, 0.6))
     signature = jaxir.signature(scene(TRUTH), VIEWS, BANDS, shape=(256, 256), samples=8)
@@ -86,4 +85,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    options("fit_emissivity", __doc__).parse_args()
     main()

@@ -53,7 +53,6 @@ def coverage(draws: int) -> np.ndarray:
 
 
 def main() -> None:
-    options("fit_identifiability", __doc__).parse_args()
     out = out_folder("fit_identifiability")
     depths = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 3.0, 5.0])
     began = time.perf_counter()
@@ -91,4 +90,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    options("fit_identifiability", __doc__).parse_args()
     main()

@@ -58,7 +58,6 @@ def measured(truth: np.ndarray) -> list:
 
 
 def main() -> None:
-    options("fit_image", __doc__).parse_args()
     out = out_folder("fit_image")
     truth = true_field()
     problem = prepare(scene(START), FIELD, measured(truth), priors={"temperature": SmoothPrior(SHAPE, STEP)})
@@ -108,4 +107,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    options("fit_image", __doc__).parse_args()
     main()

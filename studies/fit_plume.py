@@ -73,7 +73,6 @@ def scene(temperature: float, scale: float, core: float, load: float, table: Par
 
 
 def main() -> None:
-    options("fit_plume", __doc__).parse_args()
     out = out_folder("fit_plume")
     table = soot()
     seen = {"scattering": SCATTERING, "key": jax.random.key(1)}
@@ -141,4 +140,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    options("fit_plume", __doc__).parse_args()
     main()

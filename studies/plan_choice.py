@@ -145,7 +145,6 @@ def compare(name, scene, ways, pixel, rtol):
 
 
 def main():
-    options("plan_choice", __doc__).parse_args()
     grid = [(scene, rtol) for scene in scenes() for rtol in (PATHS if "particles" in scene[0] else TOLERANCES)]
     out = out_folder("plan_choice")
     rows = []
@@ -183,4 +182,5 @@ def main():
 
 
 if __name__ == "__main__":
+    options("plan_choice", __doc__).parse_args()
     main()

@@ -14,10 +14,7 @@ import scipy.constants as si
 from scipy.integrate import quad
 
 import jaxir
-from studies import (
-    charts,  # noqa: F401  (chooses the backend)
-    options,
-)
+from studies import charts, options  # noqa: F401  (charts chooses the backend)
 
 ANGLES = np.arange(0.0, 86.0, 5.0)
 PAPER = {"emitting plate": 4.8e-4, "plate under a parallel source": 2.3e-4}

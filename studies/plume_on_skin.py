@@ -94,7 +94,6 @@ def measured(scene: jaxir.Scene, camera: jaxir.Camera, name: str) -> list[dict]:
 
 
 def main() -> None:
-    options("plume_on_skin", __doc__).parse_args()
     out = out_folder("plume_on_skin")
     rows = [row for name, case in cases().items() for row in measured(*case, name)]
     with open(out / "plume_on_skin.csv", "w", newline="") as file:
@@ -125,4 +124,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    options("plume_on_skin", __doc__).parse_args()
     main()

@@ -23,10 +23,7 @@ from jaxir.geometry.ray import Rays
 from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
 from jaxir.transport.radiometry import radiometry
-from studies import (
-    charts,  # noqa: F401  (chooses the backend)
-    options,
-)
+from studies import charts, options  # noqa: F401  (charts chooses the backend)
 
 NODES = jaxir.gray_nodes((jaxir.MWIR,))
 HEIGHT, OFFSET, RADIUS, RADIANCE, REFLECTANCE = 1.8, 1.2, 1.0, 100.0, 0.5

@@ -24,7 +24,6 @@ BAND = jaxir.LWIR
 
 
 def main() -> None:
-    options("where_to_paint", __doc__).parse_args()
     out = out_folder("where_to_paint")
     began = time.perf_counter()
     vertices, faces, part = aircraft.generic_aircraft()
@@ -66,4 +65,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    options("where_to_paint", __doc__).parse_args()
     main()

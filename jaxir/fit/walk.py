@@ -1,8 +1,8 @@
 """From starts to the solution of a prepared fit.
 
 A first walk of the solver on logarithmic residuals leads near the solution, a second on the ordinary ones to it. Where
-fewer rays lead, see `Observation`, there is only the first, on the fewest; `approach` goes on to the minimum of those
-that steer; and `settle` evaluates all rays there, adds to the prediction p of those that steer what they lack there,
+fewer rays lead, see `Observation`, there is only the first, on the fewest; `approach` goes on to the minimum z0 of
+those that steer and evaluates all rays there; and `settle` adds to their prediction p what they lack there,
 
     p(z) + P(z0) - p(z0),
 
