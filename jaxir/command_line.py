@@ -20,13 +20,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxir import plot
-from jaxir.geometry.camera import Camera
-from jaxir.io.afsim import require_full_table, save_afsim
-from jaxir.io.files import written_whole
-from jaxir.io.results import Conditions, require_suffix, save_image, save_netcdf, save_signature, save_tiff
-from jaxir.io.scene_files import SceneFile, load_scene
+from jaxir.geometry import Camera
+from jaxir.imaging import Image, Outcome, Signature, render, signature
+from jaxir.io._files import written_whole
+from jaxir.io.result import (
+    Conditions,
+    require_full_table,
+    require_suffix,
+    save_afsim,
+    save_image,
+    save_netcdf,
+    save_signature,
+    save_tiff,
+)
+from jaxir.io.scene_file import SceneFile, load_scene
 from jaxir.quantity import alone, at_target
-from jaxir.render import Image, Outcome, Signature, render, signature
 from jaxir.scene.scene import Scene
 
 DESCRIPTION = "Infrared radiance images and signatures of scenes described in TOML files."

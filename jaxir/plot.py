@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxir.fit.result import Fit
-from jaxir.geometry.camera import Camera
-from jaxir.optics.band import Nodes
-from jaxir.render import Image, Signature
+from jaxir.fit import Fit
+from jaxir.geometry import Camera
+from jaxir.imaging import Image, Signature
+from jaxir.optics.spectrum import Nodes
 from jaxir.scene.jet import JetPlume
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene

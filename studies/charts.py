@@ -8,7 +8,7 @@ import matplotlib
 matplotlib.use("Agg")
 
 from jaxir import plot  # noqa: E402
-from jaxir.render import Image  # noqa: E402
+from jaxir.imaging import Image  # noqa: E402
 
 
 def out_folder(study: str) -> Path:

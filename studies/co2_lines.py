@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxir import StandardAtmosphere
-from jaxir.io.k_tables import Spectra
-from jaxir.optics.band import SECOND_RADIATION as C2
-from jaxir.optics.cold_path import altitude_along
-from jaxir.optics.correlated_k import BOLTZMANN
-from jaxir.optics.planck import FIRST_RADIATION
+from jaxir.io.spectra import Spectra
+from jaxir.optics.air import altitude_along
+from jaxir.optics.gas import BOLTZMANN
+from jaxir.optics.spectrum import FIRST_RADIATION
+from jaxir.optics.spectrum import SECOND_RADIATION as C2
 
 STEP = 0.004  # cm-1
 GRID = 1900 + STEP * np.arange(150000)

@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.geometry.walk import Crossings
+from jaxir.geometry import Crossings
 from jaxir.transport.crossing_sum import crossing_sum
 from studies import options
 

@@ -12,7 +12,8 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.fit import measured_intensity, part_emissivity, prepare, solve
+from jaxir.fit import _solve as solve
+from jaxir.fit import measured_intensity, part_emissivity, prepare
 from studies import aircraft, options
 from studies.charts import out_folder
 from studies.fitting import error_bars, finite_differences, timed_solve

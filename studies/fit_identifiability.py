@@ -11,7 +11,8 @@ import matplotlib
 import numpy as np
 
 import jaxir
-from jaxir.fit import Factor, Measurement, expected_uncertainty, measured_image, prepare, solve
+from jaxir.fit import Factor, Measurement, expected_uncertainty, measured_image, prepare
+from jaxir.fit import _solve as solve
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402

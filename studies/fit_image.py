@@ -16,7 +16,8 @@ import numpy as np
 import optimistix as optx
 
 import jaxir
-from jaxir.fit import Bounds, Leaf, SmoothPrior, measured_image, prepare, solve
+from jaxir.fit import Bounds, Leaf, SmoothPrior, measured_image, prepare
+from jaxir.fit import _solve as solve
 from studies import options
 from studies.charts import out_folder
 

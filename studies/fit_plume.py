@@ -16,7 +16,7 @@ import numpy as np
 
 import jaxir
 from jaxir.fit import jet_parameter, measured_intensity, mole_fraction_scale, particle_loading, prepare
-from jaxir.optics.particles import ParticleTable
+from jaxir.optics.particle import ParticleTable
 from studies import options
 from studies.charts import judge, out_folder
 from studies.fitting import error_bars, finite_differences, timed_solve, tracing_every_step

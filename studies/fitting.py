@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 
-from jaxir.fit import Fit, solve
-from jaxir.fit.problem import Problem, value_and_jacobian
+from jaxir.fit import Fit, Problem, value_and_jacobian
+from jaxir.fit import _solve as solve
 
 
 class Baseline(NamedTuple):

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxir
-from jaxir.geometry.camera import fitted_camera
-from jaxir.geometry.walk import crossings
+from jaxir.geometry import crossings, fitted_camera
 from studies import options
 from studies.charts import out_folder
 from studies.scaling import SUN, bands, body, gas

@@ -28,9 +28,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxir
-from jaxir.geometry.camera import fitted_camera, pixel_strata, view_frame
-from jaxir.render.chunks import Pass, estimate_chunk, method_of, whole_image
-from jaxir.render.plumes import entering
+from jaxir.geometry import fitted_camera, pixel_strata, view_frame
+from jaxir.imaging import Pass, entering, estimate_chunk, method_of, whole_image
 from jaxir.transport.evaluate import evaluate
 from jaxir.transport.march import march
 from jaxir.transport.paths import store_crossings, trace

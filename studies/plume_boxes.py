@@ -16,8 +16,7 @@ import matplotlib
 import numpy as np
 
 import jaxir
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.walk import crossings
+from jaxir.geometry import Rays, crossings
 from studies import options
 
 matplotlib.use("Agg")

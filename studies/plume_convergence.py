@@ -17,7 +17,7 @@ import matplotlib
 import numpy as np
 
 import jaxir
-from jaxir.geometry.walk import Crossings
+from jaxir.geometry import Crossings
 from studies import options
 
 matplotlib.use("Agg")

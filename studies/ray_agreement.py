@@ -18,9 +18,8 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.geometry.mesh import closest_hit
-from jaxir.geometry.ray import Bundle, Rays
-from jaxir.geometry.shadow import orthonormal
+from jaxir.geometry import Bundle, Rays
+from jaxir.geometry.search import closest_hit, orthonormal
 from studies import options
 from studies.ray_throughput import aircraft, embree, sphere
 

@@ -20,9 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxir
-from jaxir.geometry.mesh import any_hit, closest_hit
-from jaxir.geometry.ray import Bundle, Rays
-from jaxir.geometry.shadow import occluded
+from jaxir.geometry import Bundle, Rays
+from jaxir.geometry.search import any_hit, closest_hit, occluded
 from studies import options
 from studies.aircraft import generic_aircraft
 

@@ -16,8 +16,8 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.geometry.camera import fitted_camera, pixel_strata
-from jaxir.render.chunks import Pass, compiled_radiometry, estimate_chunk, method_of
+from jaxir.geometry import fitted_camera, pixel_strata
+from jaxir.imaging import Pass, compiled_radiometry, estimate_chunk, method_of
 from studies import options
 from studies.aircraft import generic_aircraft
 from studies.charts import out_folder

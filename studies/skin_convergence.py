@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.geometry.ray import Rays
+from jaxir.geometry import Rays
 from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
 from jaxir.transport.radiometry import radiometry

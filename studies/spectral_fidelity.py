@@ -22,9 +22,9 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.geometry.ray import Rays
-from jaxir.io.k_tables import tabulate
-from jaxir.optics.ranking import bins_of, slot_means
+from jaxir.geometry import Rays
+from jaxir.io.spectra import tabulate
+from jaxir.optics.gas import bins_of, slot_means
 from studies import co2_lines as lines
 from studies import options
 

@@ -25,8 +25,7 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.geometry.camera import view_frame
-from jaxir.geometry.ray import Rays
+from jaxir.geometry import Rays, view_frame
 from studies import mitsuba_peer, options
 from studies.aircraft import generic_aircraft
 from studies.charts import judge, out_folder

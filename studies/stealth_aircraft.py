@@ -23,11 +23,10 @@ import matplotlib
 import numpy as np
 
 import jaxir
-from jaxir.io.files import written_whole
-from jaxir.io.meshes import METRES, load_mesh
-from jaxir.io.results import save_image, save_signature, save_tiff
-from jaxir.io.sweep import sweep
-from jaxir.render import Signature
+from jaxir.imaging import Signature
+from jaxir.io._files import written_whole
+from jaxir.io.mesh import METRES, load_mesh
+from jaxir.io.result import save_image, save_signature, save_tiff, sweep
 from studies import aircraft, options
 from studies.charts import radiance_panels
 

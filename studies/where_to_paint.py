@@ -11,8 +11,9 @@ import matplotlib
 import numpy as np
 
 import jaxir
-from jaxir.fit import measured_intensity, sensitivity
-from jaxir.io.maps import save_face_values
+from jaxir.fit import _sensitivity as sensitivity
+from jaxir.fit import measured_intensity
+from jaxir.io.result import save_face_values
 from studies import aircraft, options
 from studies.charts import out_folder
 

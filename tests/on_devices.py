@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 import jaxir
-from jaxir.io.sweep import sweep
+from jaxir.io.result import sweep
 from tests.scenes import plate
 
 VIEWS = ((0.0, 0.0), (20.0, 10.0), (70.0, -3.0))

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 
 import jaxir
 import jaxir.transport.sight as sight
-from jaxir.geometry.ray import Rays
-from jaxir.optics.band import gray_nodes
-from jaxir.render import chunks as chunks_module
+from jaxir.geometry import Rays
+from jaxir.imaging import _chunks as chunks_module
+from jaxir.optics.spectrum import gray_nodes
 from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
 from jaxir.transport.radiometry import radiometry
@@ -23,7 +23,7 @@ FLOORS = {
     "scene": 1,
     "transport": 2,
     "quantity": 2,
-    "render": 3,
+    "imaging": 3,
     "fit": 3,
     "io": 4,
     "plot": 4,

@@ -213,7 +213,7 @@ def test_bodies_of_a_file_without_names_become_parts(tmp_path, capsys):
 
 
 def test_parts_of_an_obj_file_are_its_objects(tmp_path):
-    from jaxir.io.meshes import load_mesh
+    from jaxir.io.mesh import load_mesh
 
     body = load_mesh(write_obj(tmp_path / "b.obj", ("nose", "wing", "nose")), unit="m")
     assert body.part_names == ("nose", "wing") and body.part.tolist() == [0, 0, 1, 1, 0, 0]

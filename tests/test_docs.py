@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from jaxir.command_line import main
-from jaxir.io.scene_files import load_scene
+from jaxir.io.scene_file import load_scene
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(path for path in (ROOT / "docs").glob("*.md"))
@@ -47,7 +47,7 @@ def sections(text):
 
 def test_scene_files_are_read(tmp_path, monkeypatch):
     """Each block replaces the sections of its name in the first, and what results is a scene."""
-    monkeypatch.setattr("jaxir.io.scene_files.resolve_jet", lambda jet, bands, tolerance: jet)  # has its own tests
+    monkeypatch.setattr("jaxir.io.scene_file._scene_files.resolve_jet", lambda jet, bands, tolerance: jet)  # has its own tests
     shutil.copy(ROOT / "examples" / "aircraft.obj", tmp_path)
     first, *others = blocks(ROOT / "docs" / "scene_files.md", "toml")
     assert len(others) > 5

@@ -7,8 +7,7 @@ import pytest
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.geometry.camera import fitted_camera, view_frame
-from jaxir.geometry.grading import Brightness, graded_camera
+from jaxir.geometry import Brightness, fitted_camera, graded_camera, view_frame
 from tests.scenes import box_mesh
 
 EXTENT = as_float(np.array([[0, y, z] for y in (-10, 10) for z in (-5, 5)]))
@@ -69,7 +68,7 @@ def test_a_small_hot_jet_beside_a_large_body_takes_few_rays(gridded):
     if gridded:
         plume = plume.to_grid(jaxir.Grid((-12.0, -1.5, -1.5), (0.1, 0.1, 0.1), (60, 30, 30)))
     scene = jaxir.Scene(jaxir.Skin(box_mesh((12.0, 8.0, 0.5)), 260.0, jaxir.Lambert(0.2)), plume)
-    nodes = jaxir.optics.band.gray_nodes((jaxir.MWIR, jaxir.LWIR))
+    nodes = jaxir.optics.spectrum.gray_nodes((jaxir.MWIR, jaxir.LWIR))
     shape = (24, 48)
     table = jaxir.signature(scene, [[70.0, 20.0]], nodes, shape=shape)
 

@@ -7,10 +7,9 @@ import pytest
 
 import jaxir
 from jaxir._arrays import enforce
-from jaxir.geometry.camera import pixel_strata
-from jaxir.optics.band import as_nodes
-from jaxir.render.chunks import Pass, compiled_radiometry, method_of
-from jaxir.render.pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
+from jaxir.geometry import pixel_strata
+from jaxir.imaging import ErrorLaw, Pass, Pilot, compiled_radiometry, error_law, method_of, pilot, well_shaped
+from jaxir.optics.spectrum import as_nodes
 from jaxir.transport.path_estimator import CellSum
 from tests.scenes import gray_box, plate
 

@@ -9,8 +9,8 @@ import pytest
 
 import jaxir
 from jaxir import plot
-from jaxir.fit.result import Fit, uncertainty
-from jaxir.render import Outcome
+from jaxir.fit import Fit, uncertainty
+from jaxir.imaging import Outcome
 from tests.scenes import gray_box, plate
 
 

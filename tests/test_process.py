@@ -12,14 +12,14 @@ import pytest
 
 import jaxir
 from jaxir._process import OPT_OUT, OPTION
-from jaxir.geometry.mesh import Mesh, any_hit, closest_hit
-from jaxir.geometry.ray import Bundle, Rays
+from jaxir.geometry import Bundle, Rays
+from jaxir.geometry.search import Mesh, any_hit, closest_hit
 
 ROOT = Path(__file__).parent.parent
 PRINT_FACES = """
 import jaxir
 from test_process import scene
-from jaxir.geometry.mesh import closest_hit
+from jaxir.geometry.search import closest_hit
 mesh, rays, bundle = scene()
 print(jaxir.native_loops())
 print(closest_hit(mesh, rays).face.tolist())

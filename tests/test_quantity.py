@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.geometry.ray import Rays
+from jaxir.geometry import Rays
 from tests.scenes import gray_box, plate
 
 LEVEL, EMISSIVITY = 7.0, 0.4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.optics.band import gray_nodes
+from jaxir.optics.spectrum import gray_nodes
 from tests.scenes import box_intensity, box_mesh, gray_box, plate
 
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)

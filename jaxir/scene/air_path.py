@@ -9,10 +9,16 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, finite, fraction, non_negative, positive, require_shape
 from jaxir.optics._tables import COLD_PATH_EDGES, sample_weights
-from jaxir.optics.band import Nodes, bins_inside
-from jaxir.optics.cold_path import PathAir, altitude_along, path_air, path_emission, path_transmittance
-from jaxir.optics.planck import band_radiance
-from jaxir.optics.profile import Profile, us_standard_1976
+from jaxir.optics.air import (
+    PathAir,
+    Profile,
+    altitude_along,
+    path_air,
+    path_emission,
+    path_transmittance,
+    us_standard_1976,
+)
+from jaxir.optics.spectrum import Nodes, band_radiance, bins_inside
 from jaxir.scene.atmosphere import AbstractAtmosphere
 from jaxir.scene.source import per_node, spectral
 
@@ -21,7 +27,7 @@ class StandardAtmosphere(AbstractAtmosphere):
     """Molecular absorption and emission of a straight path, from the embedded fit to LOWTRAN 7 (no haze, no clouds).
 
     The path runs over the round earth, slant or level; refraction is left out. Equations and accuracy are those of
-    `jaxir.optics.cold_path`, made for altitudes up to 12 km and paths up to 60 km through the US Standard Atmosphere.
+    `jaxir.optics.air`, made for altitudes up to 12 km and paths up to 60 km through the US Standard Atmosphere.
     Scattered sunlight is not part of the path radiance. LOWTRAN 7 gives its lowest kilometre the mean temperature of
     the layer; here each segment has its own, so a sensor on the ground sees 288 K instead of 285 K where the air is
     opaque.
@@ -30,12 +36,12 @@ class StandardAtmosphere(AbstractAtmosphere):
     band is the wrong factor for anything whose spectrum follows that of the air (for a 360 K surface seen from the
     ground the SWIR transmittance is .15, its band mean .50). It cannot be right for hot CO2 behind cold CO2, either,
     whose lines coincide: product and truth differ by +3 % (1500 K, thick) to +37 % (1000 K, dilute) at 4.3 um. With
-    lists of lines `jaxir.io.k_tables.slot_atmosphere` averages the path over the slots of a node's quantile instead.
+    lists of lines `jaxir.io.spectra.slot_atmosphere` averages the path over the slots of a node's quantile instead.
 
     Attributes:
         sensor_altitude: [m].
         target_altitude: [m].
-        distance: from sensor to target [m]; see `jaxir.optics.cold_path.slant_range`.
+        distance: from sensor to target [m]; see `jaxir.optics.air.slant_range`.
         profile: state of the air over altitude.
 
     Differentiable in every field but `profile.altitude`.
@@ -92,7 +98,7 @@ class StandardAtmosphere(AbstractAtmosphere):
 class TableAtmosphere(AbstractAtmosphere):
     """A path tabulated over wavenumber by another program, linear between samples and averaged over each bin.
 
-    `jaxir.io.atmospheres` reads it from CSV and from MODTRAN's tape7.
+    `jaxir.io.spectra` reads it from CSV and from MODTRAN's tape7.
 
     Attributes:
         wavenumber: increasing [sample] [cm-1].

@@ -9,7 +9,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, fraction, non_negative
-from jaxir.optics.band import Nodes
+from jaxir.optics.spectrum import Nodes
 from jaxir.scene.source import per_node, spectral
 
 

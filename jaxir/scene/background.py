@@ -10,8 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, non_negative, positive, require_shape
-from jaxir.optics.band import Nodes
-from jaxir.optics.planck import band_radiance
+from jaxir.optics.spectrum import Nodes, band_radiance
 from jaxir.scene.source import per_node, spectral
 
 

@@ -10,10 +10,10 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, finite, positive, require_shape
-from jaxir._vector import frame_around
-from jaxir.geometry.grid import Grid
+from jaxir._math import frame_around
+from jaxir.geometry import Grid
 from jaxir.optics.gas import AbstractGas
-from jaxir.optics.particles import AbstractParticles
+from jaxir.optics.particle import AbstractParticles
 from jaxir.scene.plume import GridPlume
 
 

@@ -15,8 +15,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import Check, as_float, finite, non_negative, positive, require_shape, unit_vector
-from jaxir._vector import dot
-from jaxir.geometry.sampling import (
+from jaxir._math import dot
+from jaxir.geometry import (
     pdf_disc,
     pdf_from_area,
     pdf_polygon,
@@ -26,7 +26,7 @@ from jaxir.geometry.sampling import (
     sample_polygon,
     sphere_drop,
 )
-from jaxir.optics.band import Nodes
+from jaxir.optics.spectrum import Nodes
 from jaxir.scene.source import AbstractDeltaSource, per_node, spectral
 
 

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, positive
-from jaxir.geometry.grid import Grid
+from jaxir.geometry import Grid
 from jaxir.optics.gas import AbstractGas
-from jaxir.optics.particles import AbstractParticles
+from jaxir.optics.particle import AbstractParticles
 
 
 class GridPlume(eqx.Module):

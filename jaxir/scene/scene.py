@@ -8,10 +8,9 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check
-from jaxir._vector import radius_about
-from jaxir.geometry.camera import Camera
-from jaxir.geometry.outline import MARGIN, clear_of, outline
-from jaxir.geometry.tree import WIDTH
+from jaxir._math import radius_about
+from jaxir.geometry import Camera
+from jaxir.geometry.search import MARGIN, WIDTH, clear_of, outline
 from jaxir.scene.atmosphere import AbstractAtmosphere
 from jaxir.scene.background import AbstractBackground
 from jaxir.scene.jet import JetPlume
@@ -77,7 +76,7 @@ class Scene(eqx.Module):
         return lax.stop_gradient(radius_about(self.extent(), centre) * MARGIN)
 
     def outline(self, most: int = BOXES) -> Float[Array, "row 96"]:
-        """Boxes that hold skin and plume, see `jaxir.geometry.outline`; at most `most` for the skin, or 16."""
+        """Boxes that hold skin and plume, see `jaxir.geometry.search`; at most `most` for the skin, or 16."""
         boxes = [] if self.skin is None else [self.skin.mesh.outline(most)]
         if self.plume is not None:
             corners = self.plume.extent()

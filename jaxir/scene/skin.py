@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import Check, as_float, positive
-from jaxir.geometry.mesh import Mesh
-from jaxir.optics.brdf import AbstractBrdf
+from jaxir.geometry.search import Mesh
+from jaxir.optics.surface import AbstractBrdf
 
 
 class Skin(eqx.Module):

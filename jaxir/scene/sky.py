@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, finite, non_negative
-from jaxir.optics.band import Nodes
+from jaxir.optics.spectrum import Nodes
 from jaxir.scene.background import AbstractBackground
 from jaxir.scene.source import per_node
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, non_negative, require_shape, unit_vector
-from jaxir.optics.band import Nodes
+from jaxir.optics.spectrum import Nodes
 
 
 def per_node(field: str, value: Float[Array, " n"], nodes: Nodes) -> Float[Array, " node"]:

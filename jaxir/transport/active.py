@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
-from jaxir.geometry.loops import varying
+from jaxir.geometry import varying
 
 BLOCK = (64, 4096)  # least and most rays that are computed together
 BLOCK_FLOATS = 1 << 13  # values per ray and node in a block: what a processor's cache holds

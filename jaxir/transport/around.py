@@ -11,11 +11,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxir._vector import dot
-from jaxir.geometry.mesh import Mesh, any_hit, closest_hit, face_normal
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.triangle import Hit, no_hit
-from jaxir.optics.brdf import AbstractBrdf
+from jaxir._math import dot
+from jaxir.geometry import Hit, Rays, no_hit
+from jaxir.geometry.search import Mesh, any_hit, closest_hit, face_normal
+from jaxir.optics.surface import AbstractBrdf
 from jaxir.scene.scene import Scene
 from jaxir.transport.lights import Light, meet_light, sample_light
 from jaxir.transport.mis import mis_weight

@@ -17,10 +17,9 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
-from jaxir.geometry.camera import Camera
-from jaxir.geometry.grading import Brightness, graded_camera
-from jaxir.geometry.mesh import face_normal
-from jaxir.optics.layer import phi1
+from jaxir.geometry import Brightness, Camera, graded_camera
+from jaxir.geometry.search import face_normal
+from jaxir.optics import phi1
 from jaxir.transport.jet import JetMedium
 from jaxir.transport.medium import GridMedium
 from jaxir.transport.radiometry import Radiometry

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._vector import dot
-from jaxir.geometry.form_factor import disc_vector, polygon_form_factor
-from jaxir.optics.band import Nodes
+from jaxir._math import dot
+from jaxir.geometry import disc_vector, polygon_form_factor
+from jaxir.optics.spectrum import Nodes
 from jaxir.scene.background import AbstractUniformBackground
 from jaxir.scene.near_source import AbstractAreaSource, DiscSource, PolygonSource
 from jaxir.scene.scene import Scene

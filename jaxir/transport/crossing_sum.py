@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir.geometry.walk import Crossings
-from jaxir.optics.layer import through_layer
+from jaxir.geometry import Crossings
+from jaxir.optics import through_layer
 from jaxir.transport.march import radiance_primitive
 
 

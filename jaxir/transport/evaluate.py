@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Key
 
-from jaxir.geometry.mesh import face_normal
-from jaxir.geometry.ray import Rays
+from jaxir.geometry import Rays
+from jaxir.geometry.search import face_normal
 from jaxir.transport.around import Leg, Vertex
 from jaxir.transport.leaving import beyond, leaving, reflected
 from jaxir.transport.medium import GridMedium

@@ -15,8 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float
-from jaxir.geometry.grid import Grid
-from jaxir.geometry.ray import Rays
+from jaxir.geometry import Grid, Rays
 from jaxir.scene.jet import JetPlume
 from jaxir.scene.plume import GridPlume
 from jaxir.transport.jet import jet_panels

@@ -30,12 +30,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float, enforce
-from jaxir._vector import frame_around
-from jaxir.geometry.cone import FLAT, AxisView, inside_cone, view_from_axis
-from jaxir.geometry.ray import Rays
-from jaxir.optics.band import Band, Nodes, as_nodes
-from jaxir.optics.layer import across_layer, thinning
-from jaxir.optics.phase import AbstractPhase
+from jaxir._math import frame_around
+from jaxir.geometry import FLAT, AxisView, Rays, inside_cone, view_from_axis
+from jaxir.optics import across_layer, thinning
+from jaxir.optics.particle import AbstractPhase
+from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene.jet import JetPlume
 from jaxir.transport.active import for_active
 from jaxir.transport.medium import AbstractMedium, plume_optics

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxir._vector import dot
-from jaxir.geometry.mesh import face_normal
+from jaxir._math import dot
+from jaxir.geometry.search import face_normal
 from jaxir.scene.source import per_node
 from jaxir.transport.around import Around, Vertex
 from jaxir.transport.closed_form import closed_form

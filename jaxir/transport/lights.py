@@ -5,8 +5,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir.optics.band import Nodes
-from jaxir.optics.brdf import cosine_density, cosine_direction
+from jaxir.optics.spectrum import Nodes
+from jaxir.optics.surface import cosine_density, cosine_direction
 from jaxir.scene.background import AbstractBackground
 from jaxir.scene.near_source import AbstractAreaSource, Arrival
 

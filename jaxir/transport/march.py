@@ -32,9 +32,8 @@ from jax.extend.core import Primitive
 from jaxtyping import Array, Float
 
 from jaxir._arrays import require_shape
-from jaxir.geometry.grid import Grid
-from jaxir.geometry.ray import Rays
-from jaxir.optics.layer import SERIES_BELOW, across_layer, attenuate, phi1, thinning
+from jaxir.geometry import Grid, Rays
+from jaxir.optics import SERIES_BELOW, across_layer, attenuate, phi1, thinning
 from jaxir.transport.segments import (
     Lists,
     adjoint_rays,

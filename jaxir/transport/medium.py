@@ -14,14 +14,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from jaxir.geometry.grid import Grid
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.walk import Crossings
-from jaxir.optics.band import Nodes
+from jaxir.geometry import Crossings, Grid, Rays
 from jaxir.optics.gas import AbstractGas
-from jaxir.optics.particles import AbstractParticles
-from jaxir.optics.phase import AbstractPhase
-from jaxir.optics.planck import band_radiance
+from jaxir.optics.particle import AbstractParticles, AbstractPhase
+from jaxir.optics.spectrum import Nodes, band_radiance
 from jaxir.scene.plume import GridPlume
 from jaxir.transport.crossing_sum import crossing_sum
 from jaxir.transport.march import march, transmittance

@@ -27,10 +27,8 @@ from jax import lax
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import require_shape
-from jaxir.geometry.grid import Grid
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.walk import LIST_CHUNK, Crossings, crossings
-from jaxir.optics.layer import SERIES_BELOW, across_layer, phi1, phi2
+from jaxir.geometry import LIST_CHUNK, Crossings, Grid, Rays, crossings
+from jaxir.optics import SERIES_BELOW, across_layer, phi1, phi2
 from jaxir.transport.crossing_sum import crossing_sum
 
 

@@ -8,10 +8,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Key
 
-from jaxir.geometry.mesh import closest_hit
-from jaxir.geometry.ray import Bundle, Rays
-from jaxir.geometry.triangle import Hit, no_hit
-from jaxir.geometry.walk import Crossings, crossings
+from jaxir.geometry import Bundle, Crossings, Hit, Rays, crossings, no_hit
+from jaxir.geometry.search import closest_hit
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene
 from jaxir.transport.around import Around, Leg, Vertex, look_around

@@ -20,9 +20,8 @@ from jax import lax
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float
-from jaxir._vector import frame_around
-from jaxir.geometry.box import box_chord, pdf_box, pdf_from_volume, sample_box
-from jaxir.geometry.sampling import AbstractSampler
+from jaxir._math import frame_around
+from jaxir.geometry import AbstractSampler, box_chord, pdf_box, pdf_from_volume, sample_box
 from jaxir.scene.jet import JetPlume
 from jaxir.scene.plume import GridPlume
 from jaxir.transport.reflection import PlumeLight

@@ -7,10 +7,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.shadow import occluded
-from jaxir.optics.band import Nodes
-from jaxir.optics.planck import band_radiance
+from jaxir.geometry import Rays
+from jaxir.geometry.search import occluded
+from jaxir.optics.spectrum import Nodes, band_radiance
 from jaxir.scene.background import AbstractUniformBackground
 from jaxir.scene.plume import GridPlume
 from jaxir.scene.scene import Scene

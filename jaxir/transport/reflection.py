@@ -10,10 +10,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, finite, non_negative, require_shape
-from jaxir.geometry.form_factor import disc_above
-from jaxir.geometry.mesh import Mesh, face_normal
-from jaxir.geometry.sampling import AbstractSampler, Independent
-from jaxir.optics.brdf import Lambert
+from jaxir.geometry import AbstractSampler, Independent, disc_above
+from jaxir.geometry.search import Mesh, face_normal
+from jaxir.optics.surface import Lambert
 from jaxir.scene.background import AbstractBackground, AbstractUniformBackground
 from jaxir.scene.near_source import AbstractAreaSource, DiscSource, PolygonSource
 from jaxir.scene.scene import Scene

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._vector import dot
+from jaxir._math import dot
 from jaxir.scene.near_source import AbstractAreaSource
 from jaxir.transport.leaving import beyond, leaving, reflected
 from jaxir.transport.medium import GridMedium

@@ -10,10 +10,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxir.geometry.mesh import any_hit, closest_hit
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.sampling import turned
-from jaxir.geometry.triangle import Hit, no_hit
+from jaxir.geometry import Hit, Rays, no_hit, turned
+from jaxir.geometry.search import any_hit, closest_hit
 from jaxir.scene.background import AbstractBackground
 from jaxir.scene.near_source import AbstractAreaSource
 from jaxir.scene.scene import Scene

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array
 
-from jaxir.geometry.grid import Grid
-from jaxir.geometry.walk import Segments, Walk, slab_segments, start_walk
+from jaxir.geometry import Grid, Segments, Walk, slab_segments, start_walk
 
 CHUNK = 128  # consecutive rays carried together: enough to fill the vector units, few enough to stay alike
 FEW = 4  # nodes that are carried for many rays at a time, and rays whose adjoint is carried whatever the nodes

@@ -6,11 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxir._vector import dot
-from jaxir.geometry.mesh import any_hit
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.shadow import occluded, occluded_from
-from jaxir.geometry.triangle import Hit
+from jaxir._math import dot
+from jaxir.geometry import Hit, Rays
+from jaxir.geometry.search import any_hit, occluded, occluded_from
 from jaxir.scene.near_source import PointSource
 from jaxir.scene.scene import Scene
 from jaxir.scene.source import AbstractDeltaSource, ParallelSource

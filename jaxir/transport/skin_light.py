@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
-from jaxir.geometry.mesh import Mesh, face_normal
-from jaxir.geometry.sampling import AbstractSampler, pdf_from_area, pdf_triangle, sample_triangle
+from jaxir.geometry import AbstractSampler, pdf_from_area, pdf_triangle, sample_triangle
+from jaxir.geometry.search import Mesh, face_normal
 from jaxir.scene.skin import Skin
 from jaxir.transport.reflection import SkinLight
 

@@ -21,11 +21,10 @@ from jaxir.fit import (
     part_emissivity,
     part_temperature,
     particle_loading,
-    sensitivity,
     temperature_scale,
 )
-from jaxir.optics.particles import ParticleTable
-from jaxir.optics.phase import Isotropic
+from jaxir.fit import _sensitivity as sensitivity
+from jaxir.optics.particle import Isotropic, ParticleTable
 from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, slab
 from tests.scenes import box_mesh
 

@@ -9,20 +9,23 @@ import scipy.stats
 
 import jaxir
 from jaxir.fit import (
+    THERE,
     Bounds,
     Leaf,
     NormalPrior,
     SmoothPrior,
+    at_values,
     fit,
+    linearised,
+    look,
     measured_image,
     measured_intensity,
     part_emissivity,
     prepare,
-    sensitivity,
-    solve,
+    stay,
 )
-from jaxir.fit.parameter import at_values
-from jaxir.fit.walk import THERE, linearised, look, stay
+from jaxir.fit import _sensitivity as sensitivity
+from jaxir.fit import _solve as solve
 from jaxir.transport.drift import density_ratio, effective_share
 from jaxir.transport.paths import trace
 from tests.fit.slabs import DEPTH, PIXEL, slab

@@ -7,8 +7,9 @@ import optimistix as optx
 import pytest
 
 import jaxir
-from jaxir.fit import expected_uncertainty, fit, particle_loading, prepare, solve
-from jaxir.optics.phase import Isotropic
+from jaxir.fit import _solve as solve
+from jaxir.fit import expected_uncertainty, fit, particle_loading, prepare
+from jaxir.optics.particle import Isotropic
 from tests.fit.slabs import DEPTH, TEMPERATURE, looked_at, slab
 
 TWO = (jaxir.MWIR, jaxir.LWIR)

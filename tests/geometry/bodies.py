@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 
-from jaxir.geometry.ray import Bundle, Rays
+from jaxir.geometry import Bundle, Rays
 
 
 def sphere(subdivisions=3):

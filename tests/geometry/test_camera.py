@@ -7,7 +7,7 @@ import pytest
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.geometry.camera import TILE, fitted_camera, view_frame
+from jaxir.geometry import TILE, fitted_camera, view_frame
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 37.0, 180.0, -120.0])
@@ -57,7 +57,7 @@ def test_the_grain_of_a_hit_is_a_hundredth_of_a_pixel(distance):
             camera = jaxir.perspective_camera(20.0, 30.0, distance, resolution, (400, 400))
             rng = np.random.default_rng(1)
             screen = as_float(rng.uniform(-10, 10, (512, 2)).astype(np.float32))
-            from jaxir.geometry.mesh import closest_hit
+            from jaxir.geometry.search import closest_hit
 
             hit = closest_hit(mesh, camera.bundle(screen, as_float(20.0)))
             points[x64] = np.where(np.asarray(hit.face)[:, None] >= 0, np.asarray(hit.point, float), np.nan)

@@ -2,7 +2,7 @@ import jax
 import numpy as np
 
 from jaxir._arrays import as_float
-from jaxir.geometry.cone import inside_cone, view_from_axis
+from jaxir.geometry import inside_cone, view_from_axis
 
 
 @jax.jit

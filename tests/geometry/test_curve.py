@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxir.geometry.curve import hilbert_index
+from jaxir.geometry import hilbert_index
 
 
 def test_the_curve_visits_every_cell_once_and_goes_from_neighbour_to_neighbour():

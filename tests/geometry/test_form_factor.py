@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxir.geometry import form_factor
+from jaxir.geometry import _form_factor as form_factor
 
 # compiled once, because the operations one by one would each be compiled
 disc_above, disc_vector, polygon_form_factor = (

@@ -5,10 +5,8 @@ import pytest
 from bodies import as_float, fins, incoherent, picture, soup, sphere, torus
 from jax.flatten_util import ravel_pytree
 
-from jaxir.geometry.mesh import HANDFUL, Mesh, closest_hit
-from jaxir.geometry.topology import is_closed
-from jaxir.geometry.tree import build
-from jaxir.geometry.triangle import Hit, reattach
+from jaxir.geometry import Hit, reattach
+from jaxir.geometry.search import HANDFUL, Mesh, build, closest_hit, is_closed
 
 
 @pytest.mark.parametrize("count", [33, 256, 257, 1000, 4097, 70000])

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.geometry.camera import Grading, fitted_camera, pixel_samples
-from jaxir.geometry.mesh import closest_hit
-from jaxir.geometry.outline import front_of, may_see, outline
-from jaxir.geometry.tree import WIDTH
+from jaxir.geometry import Grading, fitted_camera, pixel_samples
+from jaxir.geometry.search import WIDTH, closest_hit, front_of, may_see, outline
 from tests.geometry.bodies import sphere, torus
 
 

@@ -7,8 +7,8 @@ import pytest
 from chi_square import p_value
 from scipy.stats import chi2
 
-from jaxir._vector import frame_around
-from jaxir.geometry.sampling import (
+from jaxir._math import frame_around
+from jaxir.geometry import (
     Independent,
     Lattice,
     Sobol,

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from bodies import BODIES, as_float, every_face, fins, incoherent, picture, soup, sphere, torus
 
-from jaxir.geometry.mesh import Mesh, any_hit, closest_hit
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.shadow import occluded
+from jaxir.geometry import Rays
+from jaxir.geometry.search import Mesh, any_hit, closest_hit, occluded
 
 TOLERANCE = {"float32": 2e-5, "float64": 1e-12}
 

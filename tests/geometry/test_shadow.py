@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from bodies import Lines, as_float, every_face, fins, picture, sphere, torus
 
-from jaxir.geometry.mesh import Mesh, any_hit, closest_hit
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.shadow import occluded, occluded_from
+from jaxir.geometry import Rays
+from jaxir.geometry.search import Mesh, any_hit, closest_hit, occluded, occluded_from
 
 TOWARDS = np.array([-0.5, 0.25, 0.4]) / np.linalg.norm([-0.5, 0.25, 0.4])
 

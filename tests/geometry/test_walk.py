@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from jaxir._arrays import as_float
-from jaxir.geometry.grid import Grid
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.walk import crossing_bound, crossings
+from jaxir.geometry import Grid, Rays, crossing_bound, crossings
 from tests.reference import reference_crossings
 
 SHAPES = [(7, 5, 6), (1, 9, 2), (40, 3, 3)]

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from bodies import Lines, as_float, every_face, fins, frame, slivers, soup, sphere, torus
 
-from jaxir.geometry.mesh import Mesh, any_hit, closest_hit
-from jaxir.geometry.ray import Bundle, Rays
+from jaxir.geometry import Bundle, Rays
+from jaxir.geometry.search import Mesh, any_hit, closest_hit
 
 SCALES = [1e-3, 1.0, 1e6]
 

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 
 import jaxir
-from jaxir.io.sweep import sweep
+from jaxir.io.result import sweep
 from tests.scenes import plate
 
 VIEWS = np.stack([np.linspace(-60.0, 60.0, 400), np.linspace(0.0, 30.0, 400)], axis=1)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.io.afsim import save_afsim
+from jaxir.io.result import save_afsim
 
 
 def table(azimuth, elevation, bands=("MWIR",), sign=1.0):

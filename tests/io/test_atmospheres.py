@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from jaxir.io.atmospheres import load_atmosphere_csv, load_tape7
-from jaxir.optics.band import MWIR
-from jaxir.optics.resolve import resolved_nodes
+from jaxir.io.spectra import load_atmosphere_csv, load_tape7
+from jaxir.optics.spectrum import MWIR, resolved_nodes
 
 NODES = resolved_nodes([MWIR], points=1, pair_points=0)
 WAVENUMBER = np.arange(1990.0, 3350.0, 5.0)

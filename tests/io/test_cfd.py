@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import pyvista
 
-from jaxir.io.cfd import load_flow
+from jaxir.io.field import load_flow
 
 
 def temperature(points):

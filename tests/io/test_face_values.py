@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxir.io.face_values import load_array, load_face_values
+from jaxir.io.field import load_array, load_face_values
 from tests.io.scene_text import write_npz
 
 

@@ -5,9 +5,8 @@ import pytest
 import trimesh
 
 import jaxir
-from jaxir.io.maps import save_face_values
-from jaxir.io.meshes import load_mesh
-from jaxir.io.results import save_image, save_signature, save_tiff
+from jaxir.io.mesh import load_mesh
+from jaxir.io.result import save_face_values, save_image, save_signature, save_tiff
 from tests.scenes import box_mesh, plate
 
 

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.io.k_tables import GasState, KTables, Spectra, load_k_tables, save_k_tables, slot_atmosphere, tabulate
-from jaxir.optics.band import bin_edges
-from jaxir.optics.resolve import resolved_nodes
+from jaxir.io.spectra import GasState, KTables, Spectra, load_k_tables, save_k_tables, slot_atmosphere, tabulate
+from jaxir.optics.spectrum import bin_edges, resolved_nodes
 
 BAND = jaxir.Band("4.3", 1e4 / 2400, 1e4 / 2300)
 NODES = resolved_nodes(BAND, points=3, pair_points=2, overlap=((2350.0, 2400.0),))

@@ -7,12 +7,18 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.io import lines as lines_module
-from jaxir.io.hitran import check_line_file
-from jaxir.io.k_tables import GasState, KTables, load_k_tables, save_k_tables, slot_atmosphere, tabulate
-from jaxir.io.lines import line_spectra
-from jaxir.optics.planck import band_radiance
-from jaxir.optics.resolve import resolved_nodes
+from jaxir.io.spectra import (
+    GasState,
+    KTables,
+    check_line_file,
+    line_spectra,
+    load_k_tables,
+    save_k_tables,
+    slot_atmosphere,
+    tabulate,
+)
+from jaxir.io.spectra import _lines as lines_module
+from jaxir.optics.spectrum import band_radiance, resolved_nodes
 from studies import co2_lines as truth
 
 HOTTEST, FAINTEST = 1000.0, 1e-5  # leaves out 0.1 % of the absorption at 1000 K

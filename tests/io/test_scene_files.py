@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.io import vocabulary
-from jaxir.io.cfd import load_flow
-from jaxir.io.entries import Entry
-from jaxir.io.k_tables import KTables, save_k_tables
-from jaxir.io.meshes import load_mesh
-from jaxir.io.scene_files import load_scene
-from jaxir.io.vocabulary import combustion_gas
-from jaxir.optics.correlated_k import CrossSections
+from jaxir.io.field import load_flow
+from jaxir.io.mesh import load_mesh
+from jaxir.io.scene_file import Entry, combustion_gas, load_scene
+from jaxir.io.scene_file import _vocabulary as vocabulary
+from jaxir.io.spectra import KTables, save_k_tables
+from jaxir.optics.gas import CrossSections
 from tests.io.scene_text import TEXT, write_npz, write_obj, write_scene
 
 PARTS = """
@@ -280,7 +278,7 @@ def test_a_file_that_is_no_text_or_too_large(tmp_path, monkeypatch):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="scene.toml: not readable as TOML"):
         load_scene(path)
-    monkeypatch.setattr("jaxir.io.entries.LARGEST_FILE", 2)
+    monkeypatch.setattr("jaxir.io.scene_file._entries.LARGEST_FILE", 2)
     with pytest.raises(ValueError, match="scene.toml: got 3 bytes, expected a scene file of at most 2"):
         load_scene(path)
     with pytest.raises(ValueError, match="none.toml: no such file"):

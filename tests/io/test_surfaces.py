@@ -5,7 +5,7 @@ import pytest
 import pyvista
 
 import jaxir
-from jaxir.io.surfaces import load_surface_field
+from jaxir.io.field import load_surface_field
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.io import sweep as sweep_module
-from jaxir.io.sweep import sweep
+from jaxir.io.result import _sweep as sweep_module
+from jaxir.io.result import sweep
 from tests.io.sweeping import SHAPE, asked
 
 ROOT = Path(__file__).parents[2]

@@ -8,12 +8,9 @@ import pytest
 from chi_square import direction_grid, p_value
 
 from jaxir._arrays import enforce
-from jaxir._vector import frame_around
-from jaxir.optics.brdf import Lambert
-from jaxir.optics.brdf_parts import BrdfPerFace
-from jaxir.optics.brdf_table import BrdfTable
-from jaxir.optics.microfacet import RoughConductor, _loss, _single_scattering
-from jaxir.optics.paint import SandfordRobertson
+from jaxir._math import frame_around
+from jaxir.optics.surface import BrdfPerFace, BrdfTable, Lambert, RoughConductor, SandfordRobertson
+from jaxir.optics.surface._ggx import _loss, _single_scattering
 
 FACE = np.int32(0)
 

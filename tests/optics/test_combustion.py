@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxir.optics.combustion import combustion_products
+from jaxir.optics.gas import combustion_products
 
 
 @pytest.mark.parametrize(("phi", "co2", "h2o"), [(0.25, 0.0321, 0.0385), (0.5, 0.0630, 0.0754), (0.75, 0.0905, 0.1089)])

@@ -5,13 +5,11 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.geometry.ray import Rays
-from jaxir.io.k_tables import GasState, slot_atmosphere, tabulate
-from jaxir.optics.band import Band
-from jaxir.optics.correlated_k import CorrelatedK, CrossSections
-from jaxir.optics.planck import band_radiance
-from jaxir.optics.profile import Profile, us_standard_1976
-from jaxir.optics.resolve import resolved_nodes
+from jaxir.geometry import Rays
+from jaxir.io.spectra import GasState, slot_atmosphere, tabulate
+from jaxir.optics.air import Profile, us_standard_1976
+from jaxir.optics.gas import CorrelatedK, CrossSections
+from jaxir.optics.spectrum import Band, band_radiance, resolved_nodes
 from jaxir.scene.air_path import StandardAtmosphere
 from studies import co2_lines as truth
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from jaxir.optics.k_distribution import inverse_gaussian_cdf, log_quantile, log_quantile_exact, quantile_series
-from jaxir.optics.resolve import quantiles
+from jaxir.optics.gas import inverse_gaussian_cdf, log_quantile, log_quantile_exact, quantile_series
+from jaxir.optics.spectrum import quantiles
 
 
 def malkmus(depth, b):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxir._arrays import as_float
-from jaxir.optics.layer import attenuate, phi1, phi2, through_layer
+from jaxir.optics import attenuate, phi1, phi2, through_layer
 
 DEPTHS = np.concatenate([[0.0], np.logspace(-37, 30, 135), np.linspace(0.3, 0.7, 41)])
 

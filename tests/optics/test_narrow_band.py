@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 
 from jaxir.optics import _tables
-from jaxir.optics.band import LWIR, MWIR, SWIR, Band
-from jaxir.optics.narrow_band import ATMOSPHERE, NarrowBandGas
-from jaxir.optics.planck import STEFAN, band_radiance
-from jaxir.optics.resolve import resolved_nodes
+from jaxir.optics.gas import ATMOSPHERE, NarrowBandGas
+from jaxir.optics.spectrum import LWIR, MWIR, STEFAN, SWIR, Band, band_radiance, resolved_nodes
 
 PRODUCTS = {"co2": 0.0630, "h2o": 0.0754, "o2": 0.1008}  # n-pentane in air, equivalence ratio 0.5
 TABLE = Band("table", 1e4 / 9300, 1e4 / 800)

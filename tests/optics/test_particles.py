@@ -7,11 +7,8 @@ import pytest
 from scipy.integrate import simpson
 
 from jaxir._arrays import enforce
-from jaxir.optics.band import LWIR, MWIR, Band, gray_nodes
-from jaxir.optics.mie import mie_table
-from jaxir.optics.particles import GrayParticles, Particles, ParticleTable, number_density
-from jaxir.optics.phase import Isotropic
-from jaxir.optics.resolve import resolved_nodes
+from jaxir.optics.particle import GrayParticles, Isotropic, Particles, ParticleTable, mie_table, number_density
+from jaxir.optics.spectrum import LWIR, MWIR, Band, gray_nodes, resolved_nodes
 from studies.fit_plume import soot_index
 
 pytest.importorskip("miepython")

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from jaxir._arrays import enforce
-from jaxir.optics.phase import HenyeyGreenstein, Isotropic, TabulatedPhase
+from jaxir.optics.particle import HenyeyGreenstein, Isotropic, TabulatedPhase
 
 ANGLE = np.linspace(np.pi, 0, 181)
 PHASES = {

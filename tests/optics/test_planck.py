@@ -7,13 +7,14 @@ import pytest
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.optics.band import gray_nodes, wavelength_to_wavenumber
-from jaxir.optics.planck import (
+from jaxir.optics.spectrum import (
     band_radiance,
     blackbody_fraction,
     brightness_temperature,
+    gray_nodes,
     spectral_radiance,
     spectral_radiance_wavelength,
+    wavelength_to_wavenumber,
 )
 
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)

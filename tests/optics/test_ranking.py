@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from jaxir.optics.band import Band, quantile_index
-from jaxir.optics.ranking import at_quantiles, bins_of, slot_means
-from jaxir.optics.resolve import quantiles, resolved_nodes
+from jaxir.optics.gas import at_quantiles, bins_of, slot_means
+from jaxir.optics.spectrum import Band, quantile_index, quantiles, resolved_nodes
 
 BAND = Band("4.3", 1e4 / 2100, 1e4 / 2000)
 GRID = 2000 + 0.01 * np.arange(10000)

@@ -4,10 +4,20 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.geometry.ray import Rays
-from jaxir.optics.band import LWIR, MWIR, SWIR, Band, gray_nodes, sensor_band
-from jaxir.optics.planck import band_radiance
-from jaxir.optics.resolve import Resolution, nodes_for, quantiles, resolved_nodes
+from jaxir.geometry import Rays
+from jaxir.optics.spectrum import (
+    LWIR,
+    MWIR,
+    SWIR,
+    Band,
+    Resolution,
+    band_radiance,
+    gray_nodes,
+    nodes_for,
+    quantiles,
+    resolved_nodes,
+    sensor_band,
+)
 
 
 def bins(nodes):

@@ -6,11 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxir.optics.band import LWIR, MWIR, SWIR, Band, gray_nodes
-from jaxir.optics.cold_path import altitude_along, slant_range
-from jaxir.optics.planck import band_radiance
-from jaxir.optics.profile import Profile, us_standard_1976
-from jaxir.optics.resolve import resolved_nodes
+from jaxir.optics.air import Profile, altitude_along, slant_range, us_standard_1976
+from jaxir.optics.spectrum import LWIR, MWIR, SWIR, Band, band_radiance, gray_nodes, resolved_nodes
 from jaxir.scene.air_path import StandardAtmosphere, TableAtmosphere, UniformAtmosphere
 
 BANDS = (SWIR, MWIR, LWIR)

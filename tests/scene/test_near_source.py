@@ -7,8 +7,8 @@ import pytest
 from chi_square import p_value
 
 from jaxir._arrays import enforce
-from jaxir.geometry.form_factor import disc_vector, polygon_form_factor
-from jaxir.optics.band import LWIR, MWIR, gray_nodes
+from jaxir.geometry import disc_vector, polygon_form_factor
+from jaxir.optics.spectrum import LWIR, MWIR, gray_nodes
 from jaxir.scene.near_source import DiscSource, PointSource, PolygonSource, SphereSource
 from jaxir.scene.sky import ElevationTable
 

@@ -5,7 +5,7 @@ import pytest
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.geometry.ray import Rays
+from jaxir.geometry import Rays
 from jaxir.transport.march import march
 
 TOLERANCE = {"float32": 1e-5, "float64": 1e-6}

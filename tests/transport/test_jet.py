@@ -6,8 +6,8 @@ import pytest
 import jaxir
 import jaxir.transport.jet as module
 from jaxir._arrays import as_float
-from jaxir.geometry.ray import Rays
-from jaxir.optics.band import gray_nodes
+from jaxir.geometry import Rays
+from jaxir.optics.spectrum import gray_nodes
 from jaxir.transport.jet import jet_medium
 from jaxir.transport.medium import grid_medium, plume_optics
 from tests.scenes import box_mesh

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from jaxir._arrays import as_float
-from jaxir.geometry.grid import Grid
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.walk import crossings
+from jaxir.geometry import Grid, Rays, crossings
 from jaxir.transport.crossing_sum import crossing_sum
 from jaxir.transport.march import march, optical_depth, transmittance
 from tests.reference import reference_crossings, reference_radiance

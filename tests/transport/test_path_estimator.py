@@ -5,8 +5,8 @@ import pytest
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.geometry.walk import Crossings
-from jaxir.optics.layer import thinning
+from jaxir.geometry import Crossings
+from jaxir.optics import thinning
 from jaxir.transport.crossing_sum import crossing_sum
 from tests.scenes import gray_box
 

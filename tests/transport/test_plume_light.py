@@ -11,9 +11,8 @@ from chi_square import direction_grid, p_value
 
 import jaxir
 from jaxir import LightSampling, PlumeLight, Reflection
-from jaxir.geometry.ray import Rays
-from jaxir.geometry.sampling import Independent
-from jaxir.optics.band import gray_nodes
+from jaxir.geometry import Independent, Rays
+from jaxir.optics.spectrum import gray_nodes
 from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
 from jaxir.transport.plume_light import draw_towards, pdf_towards, plume_pieces, sight_of

@@ -20,9 +20,8 @@ from jaxir import (
     Sobol,
 )
 from jaxir._arrays import enforce
-from jaxir.geometry.form_factor import disc_vector, polygon_form_factor
-from jaxir.geometry.ray import Rays
-from jaxir.optics.band import gray_nodes
+from jaxir.geometry import Rays, disc_vector, polygon_form_factor
+from jaxir.optics.spectrum import gray_nodes
 from jaxir.transport.evaluate import evaluate
 from jaxir.transport.paths import trace
 from jaxir.transport.radiometry import radiometry

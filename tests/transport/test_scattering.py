@@ -8,9 +8,9 @@ import pytest
 
 import jaxir
 from jaxir import PlumeLight, Reflection, Scattering, SkinLight
-from jaxir.geometry.ray import Rays
-from jaxir.optics.band import gray_nodes
-from jaxir.optics.particles import ParticleTable
+from jaxir.geometry import Rays
+from jaxir.optics.particle import ParticleTable
+from jaxir.optics.spectrum import gray_nodes
 from jaxir.transport.evaluate import evaluate
 from jaxir.transport.medium import plume_optics
 from jaxir.transport.paths import trace

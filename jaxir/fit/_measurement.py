@@ -1,0 +1,148 @@
+"""What was measured, and from where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxir._arrays import Check, as_float, enforce, positive
+from jaxir.geometry import Camera
+from jaxir.optics.spectrum import Band, Nodes, as_nodes
+from jaxir.scene.scene import Scene
+from jaxir.transport.brightness import graded_cameras
+from jaxir.transport.radiometry import compiled_radiometry
+from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
+
+
+class Measurement(eqx.Module):
+    """Numbers with standard deviations, and how a scene predicts them.
+
+    Attributes:
+        value: measured [row, band].
+        standard_deviation: of each value [row, band].
+        cameras: the views, stacked leaf by leaf [view, ...].
+        nodes: spectral axis of the prediction.
+        reflection: how the prediction finds reflected light, as in `render`.
+        scattering: how it follows light that particles scatter, as in `render`.
+        samples: rays per pixel; even.
+        per_pixel: whether each row is a pixel's radiance (one view) or a view's radiant intensity.
+    """
+
+    value: Float[Array, "row band"]
+    standard_deviation: Float[Array, "row band"]
+    cameras: Camera
+    nodes: Nodes
+    reflection: Reflection | None
+    scattering: Scattering | None
+    samples: int = eqx.field(static=True)
+    per_pixel: bool = eqx.field(static=True)
+
+    def checks(self) -> list[Check]:
+        """Values are finite, standard deviations positive."""
+        return [
+            Check("measurement.value", self.value, jnp.isfinite(self.value), "finite values"),
+            positive("measurement.standard_deviation", self.standard_deviation),
+        ]
+
+
+def measured_intensity(
+    scene: Scene,
+    views: Any,
+    bands: Nodes | Band | Sequence[Band],
+    value: Any,
+    standard_deviation: Any,
+    *,
+    distance: Any = np.inf,
+    shape: tuple[int, int] = (64, 64),
+    samples: int = 2,
+    reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
+) -> Measurement:
+    """Measured contrast intensities over aspects, as `signature` predicts them.
+
+    Args:
+        scene: whose outline the images must hold, and whose brightness says where rays are worth most.
+        views: azimuth and elevation [view, 2] [deg].
+        bands: bands or nodes.
+        value: [view, band] [W sr-1].
+        standard_deviation: of each value, or one for all [W sr-1].
+        distance: from the scene to the sensor [m].
+        shape: rows and columns of the images that predict.
+        samples: rays per pixel; even.
+        reflection: as `render`.
+        scattering: as `render`; `Scattering(0)` leaves out what particles scatter, and with it its noise.
+
+    Returns:
+        The measurement.
+
+    Raises:
+        ValueError: shapes disagree, values are not finite, standard deviations not positive.
+    """
+    nodes = as_nodes(bands)
+    aspect = as_float(views, "views")
+    if aspect.ndim != 2 or aspect.shape[1] != 2:
+        raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
+    cameras = graded_cameras(compiled_radiometry(scene, nodes), aspect, shape, distance)
+    wanted = (aspect.shape[0], len(nodes.names))
+    return _measurement(value, standard_deviation, wanted, cameras, nodes, (reflection, scattering), samples, False)
+
+
+def measured_image(
+    camera: Camera,
+    bands: Nodes | Band | Sequence[Band],
+    value: Any,
+    standard_deviation: Any,
+    *,
+    samples: int = 2,
+    reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
+) -> Measurement:
+    """A measured radiance image; an image of one pixel is a measured band radiance.
+
+    Args:
+        camera: the view.
+        bands: bands or nodes.
+        value: [row, column, band] [W m-2 sr-1].
+        standard_deviation: of each value, or one for all.
+        samples: rays per pixel; even.
+        reflection: as `render`.
+        scattering: as `render`; `Scattering(0)` leaves out what particles scatter, and with it its noise.
+
+    Returns:
+        The measurement.
+
+    Raises:
+        ValueError: as `measured_intensity`.
+    """
+    nodes = as_nodes(bands)
+    wanted = (*camera.shape, len(nodes.names))
+    one = jax.tree.map(lambda leaf: leaf[None], camera)
+    return _measurement(value, standard_deviation, wanted, one, nodes, (reflection, scattering), samples, True)
+
+
+def _measurement(
+    value: Any,
+    deviation: Any,
+    shape: tuple[int, ...],
+    cameras: Camera,
+    nodes: Nodes,
+    light: tuple[Reflection | None, Scattering | None],
+    samples: int,
+    per_pixel: bool,
+) -> Measurement:
+    numbers, spread = as_float(value, "measurement.value"), as_float(deviation, "measurement.standard_deviation")
+    if numbers.shape != shape:
+        raise ValueError(f"measurement.value: got shape {numbers.shape}, expected {shape}: views or pixels, then bands")
+    if spread.shape not in ((), shape):
+        raise ValueError(f"measurement.standard_deviation: got shape {spread.shape}, expected one value or {shape}")
+    flat = (-1, shape[-1])
+    spread = jnp.broadcast_to(spread, shape).reshape(flat)
+    made = Measurement(numbers.reshape(flat), spread, cameras, nodes, *light, samples, per_pixel)
+    return enforce(made, made.checks())

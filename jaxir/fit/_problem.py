@@ -1,0 +1,226 @@
+"""A fit ready to be solved: residuals as a function of one vector of unbounded coordinates.
+
+The residuals are (prediction - measured) / standard deviation of every measured number, then those of the priors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Key
+
+from jaxir._arrays import as_float, enforce
+from jaxir.fit._measurement import Measurement
+from jaxir.fit._observation import Observation, observe
+from jaxir.fit._parameter import AbstractParameter, Coordinates
+from jaxir.fit._prior import AbstractPrior
+from jaxir.scene.jet import JetPlume
+from jaxir.scene.scene import Scene
+
+BATCH = 8  # columns or rows of a Jacobian at once
+
+
+class Problem(eqx.Module):
+    """Everything the residuals need.
+
+    Attributes:
+        coordinates: parameters and start.
+        observations: measurements with their traced paths.
+        priors: of each parameter in order, or None.
+        robust: residual (in standard deviations) from which the pseudo-Huber loss grows linearly; inf for squares [].
+        key: with which rays were traced.
+    """
+
+    coordinates: Coordinates
+    observations: tuple[Observation, ...]
+    priors: tuple[AbstractPrior | None, ...]
+    robust: Float[Array, ""]
+    key: Key[Array, ""]
+
+    @property
+    def data(self) -> int:
+        """How many numbers were measured or are known before."""
+        known = zip(self.priors, self.coordinates.sizes, strict=True)
+        measured = sum(o.measurement.value.size for o in self.observations)
+        return measured + sum(prior.count(size) for prior, size in known if prior is not None)
+
+    def halves(self, z: Float[Array, " p"]) -> tuple[Float[Array, "2 row band"], ...]:
+        """Residuals of both halves of the rays, per measurement."""
+        scene = self.coordinates.scene(self.coordinates.values(z))
+        return tuple(_deviation(o, o.predict_halves(scene)) for o in self.observations)
+
+    def prior(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
+        """Residuals of the priors."""
+        pieces = self.coordinates.pieces(self.coordinates.values(z))
+        known = [p.residual(piece) for p, piece in zip(self.priors, pieces, strict=True) if p is not None]
+        return jnp.concatenate(known) if known else jnp.zeros(0, z.dtype)
+
+    def residual(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
+        """All residuals, priors last. Differentiable in both modes."""
+        return self.stacked(self.halves(z), self.prior(z))
+
+    @property
+    def thins(self) -> bool:
+        """Whether there are fewer rays that lead near a solution."""
+        return any(o.leading is not None for o in self.observations)
+
+    def leading(self) -> Problem:
+        """The same problem with the few rays that lead near a solution."""
+        return eqx.tree_at(lambda p: p.observations, self, tuple(o.fewer(o.leading) for o in self.observations))
+
+    def steering(self) -> Problem:
+        """The same problem with the rays that tell slopes near a solution."""
+        return eqx.tree_at(lambda p: p.observations, self, tuple(o.fewer(o.steering) for o in self.observations))
+
+    def completed(self, every: tuple[Array, ...], own: tuple[Array, ...]) -> Problem:
+        """The same problem, whose predictions are raised by what `every` residual is above its `own` at some point."""
+        pairs = zip(self.observations, every, own, strict=True)
+        return eqx.tree_at(lambda p: p.observations, self, tuple(o.raised(more - less) for o, more, less in pairs))
+
+    def stacked(self, halves: tuple[Array, ...], prior: Array) -> Float[Array, " row"]:
+        """One vector of the mean of both halves and the priors."""
+        return jnp.concatenate([*(half.mean(axis=0).reshape(-1) for half in halves), prior])
+
+    def logarithmic(self, residual: Float[Array, " row"]) -> Float[Array, " row"]:
+        """Residuals on a logarithmic scale, equal to `residual` near the solution and far flatter away from it.
+
+        Radiance rises with a high power of temperature, so ln(prediction / measured) * measured / deviation is nearly
+        linear in the logarithms of temperature, depth and emissivity, and a solver that walks it finds the
+        neighbourhood of the solution from far away. Values within 3 standard deviations of 0 and predictions that
+        are not positive keep their ordinary residual.
+        """
+        measured = [o.measurement for o in self.observations]
+        value = jnp.concatenate([m.value.reshape(-1) for m in measured])
+        deviation = jnp.concatenate([m.standard_deviation.reshape(-1) for m in measured])
+        r = residual[: value.size]
+        ratio = 1 + r * deviation / jnp.where(value > 0, value, 1)
+        usable = (value > 3 * deviation) & (ratio > 0)
+        flat = jnp.where(usable, jnp.log(jnp.where(usable, ratio, 1)) * value / deviation, r)
+        return jnp.concatenate([flat, residual[value.size :]])
+
+    def robustly(self, r: Float[Array, " row"]) -> Float[Array, " row"]:
+        """Residuals whose squares are the loss: r sqrt(2 / (1 + sqrt(1 + (r / robust)^2))), pseudo-Huber."""
+        return r * jnp.sqrt(2 / (1 + jnp.sqrt(1 + (r / self.robust) ** 2)))
+
+    def with_values(self, values: Sequence[Any]) -> Problem:
+        """The same problem, rays included, with other measured values (one array per measurement, shaped as given)."""
+        if len(values) != len(self.observations):
+            raise ValueError(
+                f"values: got {len(values)} arrays, expected {len(self.observations)}, one per measurement"
+            )
+        changed = []
+        for observation, value in zip(self.observations, values, strict=True):
+            old = observation.measurement.value
+            new = as_float(value, "values")
+            if new.size != old.size:
+                raise ValueError(f"values: got shape {new.shape}, expected {old.size} numbers shaped as measured")
+            measured = eqx.tree_at(lambda m: m.value, observation.measurement, new.reshape(old.shape))
+            changed.append(eqx.tree_at(lambda o: o.measurement, observation, enforce(measured, measured.checks())))
+        return eqx.tree_at(lambda p: p.observations, self, tuple(changed))
+
+    def retraced(self, scene: Scene) -> Problem:
+        """The same problem with the rays traced anew in another scene, with the same random numbers."""
+        moving = _outline_moves(self.coordinates)
+        again = tuple(
+            observe(scene, o.measurement, jax.random.fold_in(self.key, i), moving)
+            for i, o in enumerate(self.observations)
+        )
+        return eqx.tree_at(lambda p: p.observations, self, again)
+
+
+def _deviation(observation: Observation, halves: Array) -> Float[Array, "2 row band"]:
+    measured = observation.measurement
+    return (halves - measured.value[None]) / measured.standard_deviation[None]
+
+
+def prepare(
+    scene: Scene,
+    parameters: Sequence[AbstractParameter],
+    measurements: Sequence[Measurement],
+    *,
+    priors: Mapping[str, AbstractPrior] | None = None,
+    robust: float = np.inf,
+    key: Key[Array, ""] | None = None,
+) -> Problem:
+    """Check a fit and trace its rays; arguments and errors as `fit`. Solve it as often as values change."""
+    if not measurements:
+        raise ValueError("measurements: got none, expected at least one")
+    if not robust > 0:
+        raise ValueError(f"robust: got {robust}, expected a residual > 0 in standard deviations")
+    scene = enforce(scene, [*scene.checks(), *(c for m in measurements for c in m.checks())])
+    coordinates = Coordinates(parameters, scene)
+    names = [p.name for p in coordinates.parameters]
+    given = priors or {}
+    for name in given:
+        if name not in names:
+            raise ValueError(f"priors: got {name!r}, expected names among {names}")
+    base = jax.random.key(0) if key is None else key
+    moving = _outline_moves(coordinates)
+    observed = tuple(observe(scene, m, jax.random.fold_in(base, i), moving) for i, m in enumerate(measurements))
+    problem = Problem(coordinates, observed, tuple(given.get(name) for name in names), as_float(robust), base)
+    assert problem.data  # counts the priors' residuals, which raises for one that does not suit its parameter
+    return problem
+
+
+def _outline_moves(coordinates: Coordinates) -> bool:
+    """Whether a parameter moves the outline of a jet."""
+    if not isinstance(coordinates.start.plume, JetPlume):
+        return False
+
+    def outline(z: Array) -> Array:
+        plume = coordinates.scene(coordinates.values(z)).plume
+        assert plume is not None
+        return plume.extent()
+
+    return bool((jax.jacfwd(outline)(coordinates.origin()) != 0).any())
+
+
+Residual = Callable[[Array], Array]
+
+
+def value_and_jacobian(
+    function: Callable[[Array], tuple[Array, Any]], z: Float[Array, " p"]
+) -> tuple[tuple[Float[Array, " row"], Any], Float[Array, "row p"]]:
+    """What a function returns, which is residuals and anything beside, and the Jacobian of the residuals.
+
+    In the mode that needs fewer passes. Passes are taken `BATCH` at a time, so that memory does not grow with their
+    number; up to `BATCH` columns come with one evaluation.
+    """
+    rows, count = jax.eval_shape(function, z)[0].shape[0], z.shape[0]
+    if count > rows:
+        value, pull, beside = jax.vjp(function, z, has_aux=True)
+        jacobian = lax.map(lambda t: pull(t)[0], jnp.eye(rows, dtype=z.dtype), batch_size=BATCH)
+        return (value, beside), jacobian
+
+    def push(tangent: Array) -> tuple[Array, Array, Any]:
+        return jax.jvp(function, (z,), (tangent,), has_aux=True)
+
+    basis = jnp.eye(count, dtype=z.dtype)
+    if count <= BATCH:
+        value, jacobian, beside = jax.vmap(push, out_axes=(None, 1, None))(basis)
+        return (value, beside), jacobian
+    return function(z), lax.map(lambda t: push(t)[1], basis, batch_size=BATCH).T
+
+
+def with_jacobian(function: Residual) -> Residual:
+    """The same function, whose linearisation holds its Jacobian and nothing else.
+
+    A solver that linearises a long computation would else keep every intermediate result of it.
+    """
+
+    @jax.custom_jvp
+    def held(z: Array) -> Array:
+        return function(z)
+
+    @held.defjvp
+    def held_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+        (value, _), jacobian = value_and_jacobian(lambda z: (function(z), None), primals[0])
+        return value, jacobian @ tangents[0]
+
+    return held

@@ -1,0 +1,293 @@
+"""Cameras: where the eye is, and which screen points belong to which pixel.
+
+A camera is a projective map about a target point (see `Bundle`), so that 5 km and infinity are one code and the grain
+of float32 is that of the target's size, not of the range. Pixels are delivered in square tiles, because neighbouring
+rays traced together share their work.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key, Shaped
+
+from jaxir._arrays import Check, as_float, enforce, finite, positive, require_shape
+from jaxir.geometry._ray import Bundle
+
+TILE = 16
+
+
+class Grading(NamedTuple):
+    """Edges of pixels as shares of the image, rising from 0 to 1: of columns from the left, of rows from the top."""
+
+    columns: Float[Array, " column_edge"]
+    rows: Float[Array, " row_edge"]
+
+
+class Camera(eqx.Module):
+    """A pinhole at a range, or at infinity.
+
+    Attributes:
+        target: the point in the middle of the image [3] [m].
+        frame: rows u (right in the image), v (up), w (from the target to the eye) [3, 3].
+        inverse_range: 1 / range [m-1]; 0 for an orthographic camera.
+        pixel: size of a pixel in the plane through the target [2] along u and v [m]; the mean size of graded ones.
+        shape: rows and columns.
+        grading: where pixels of unequal size lie; None for equal ones.
+    """
+
+    target: Float[Array, " 3"]
+    frame: Float[Array, "3 3"]
+    inverse_range: Float[Array, ""]
+    pixel: Float[Array, " 2"]
+    shape: tuple[int, int] = eqx.field(static=True)
+    grading: Grading | None = None
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """Rows and columns of tiles that cover the image."""
+        return -(-self.shape[0] // TILE), -(-self.shape[1] // TILE)
+
+    def screen(self, tile: Int[Array, " tile"], offset: Float[Array, "tile pixel 2"]) -> Float[Array, "tile pixel 2"]:
+        """Screen points in the pixels of tiles.
+
+        Args:
+            tile: index of each tile, row by row.
+            offset: place inside each pixel, in [0, 1) along columns and rows.
+
+        Returns:
+            Screen points [tile, pixel, 2] [m]; pixels beyond the image's edge continue its raster, or where it is
+            graded repeat its last row or column.
+        """
+        row, column = self._raster(tile)
+        if self.grading is None:
+            x = column.astype(offset.dtype) + offset[..., 0]
+            y = row.astype(offset.dtype) + offset[..., 1]
+        else:
+            x = self.shape[1] * _between(self.grading.columns, column, offset[..., 0])
+            y = self.shape[0] * _between(self.grading.rows, row, offset[..., 1])
+        return jnp.stack([(x - self.shape[1] / 2) * self.pixel[0], (self.shape[0] / 2 - y) * self.pixel[1]], axis=-1)
+
+    def project(self, point: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+        """Screen points of points of the scene [m]."""
+        local = (point - self.target[(None,) * (point.ndim - 1)]) @ self.frame.T
+        return local[..., :2] / (1 - local[..., 2:] * self.inverse_range)
+
+    def _raster(self, tile: Int[Array, " tile"]) -> tuple[Int[Array, "tile pixel"], Int[Array, "tile pixel"]]:
+        """Row and column of every pixel of tiles, beyond the image's edge too."""
+        columns = jnp.int32(self.tiles[1])
+        inside = jnp.arange(TILE * TILE, dtype=jnp.int32)
+        row = (tile // columns)[:, None] * TILE + (inside // TILE)[None, :]
+        column = (tile % columns)[:, None] * TILE + (inside % TILE)[None, :]
+        return row, column
+
+    def pixel_index(self, tile: Int[Array, " tile"]) -> Int[Array, "tile pixel"]:
+        """row * columns + column of every pixel of tiles, -1 beyond the image's edge."""
+        row, column = self._raster(tile)
+        return jnp.where((row < self.shape[0]) & (column < self.shape[1]), row * self.shape[1] + column, -1)
+
+    def bundle(self, screen: Float[Array, "ray 2"], start: Float[Array, ""]) -> Bundle:
+        """The rays through screen points, starting on the plane `start` [m] in front of the target."""
+        return Bundle(self.target, self.frame, self.inverse_range, start, screen)
+
+    def untile(self, value: Shaped[Array, "tile pixel *field"]) -> Shaped[Array, "row column *field"]:
+        """An image [row, column, ...] from values per tile and pixel, tiles row by row."""
+        rows, columns = self.tiles
+        field = value.shape[2:]
+        grid = value.reshape((rows, columns, TILE, TILE) + field)
+        image = jnp.swapaxes(grid, 1, 2).reshape((rows * TILE, columns * TILE) + field)
+        return image[: self.shape[0], : self.shape[1]]
+
+    def pixel_area(self) -> Float[Array, "row column"]:
+        """Weight that turns an image of radiance into radiant intensity [row, column] [m2].
+
+        The irradiance at the pupil on a plane facing the target is E = sum L cos(theta) dOmega with
+        dOmega cos(theta) = (pixel / range)^2 cos^4(theta), and the intensity I = E range^2.
+        """
+        (x, width), (y, height) = (self._pixels(axis) for axis in (0, 1))
+        tangent = (y[:, None] ** 2 + x[None, :] ** 2) * self.inverse_range**2
+        return height[:, None] * width[None, :] / (1 + tangent) ** 2
+
+    def _pixels(self, axis: int) -> tuple[Float[Array, " pixel"], Float[Array, " pixel"]]:
+        """Distance of the middle of columns (axis 0) or rows (axis 1) from the image's, and their size [m]."""
+        count = self.shape[1 - axis]
+        if self.grading is None:
+            middle = jnp.arange(count).astype(self.pixel.dtype) + 0.5 - count / 2
+            return middle * self.pixel[axis], jnp.broadcast_to(self.pixel[axis], (count,))
+        edges = (self.grading[axis] - 0.5) * count * self.pixel[axis]
+        return (edges[1:] + edges[:-1]) / 2, edges[1:] - edges[:-1]
+
+    def checks(self) -> list[Check]:
+        """The target is finite, the frame a number, pixels have positive size."""
+        return [
+            finite("Camera.target", self.target),
+            finite("Camera.frame", self.frame),
+            finite("Camera.inverse_range", self.inverse_range),
+            positive("Camera.pixel", self.pixel),
+        ]
+
+
+def _between(edges: Float[Array, " edge"], pixel: Int[Array, "*batch"], offset: Float[Array, "*batch"]) -> Array:
+    """Place inside pixels between edges [*batch]."""
+    first = jnp.minimum(pixel, edges.shape[0] - 2)
+    return edges[first] + offset * (edges[first + 1] - edges[first])
+
+
+def view_frame(azimuth: Any, elevation: Any) -> Float[Array, "3 3"]:
+    """Image frame of an observer at an aspect.
+
+    Args:
+        azimuth: from the nose (+x) towards the left wing (+y) [deg].
+        elevation: above the wings' plane [deg].
+
+    Returns:
+        Rows u (right), v (up), w = (cos el cos az, cos el sin az, sin el), the direction from target to observer.
+        Seen from straight above or below, "up" continues from the limit along the azimuth.
+    """
+    az, el = (jnp.deg2rad(as_float(a, f)) for a, f in ((azimuth, "azimuth"), (elevation, "elevation")))
+    require_shape("azimuth", az, ())
+    require_shape("elevation", el, ())
+    ca, sa, ce, se = jnp.cos(az), jnp.sin(az), jnp.cos(el), jnp.sin(el)
+    zero = jnp.zeros_like(ca)
+    u = jnp.stack([-sa, ca, zero])
+    v = jnp.stack([-se * ca, -se * sa, ce])
+    w = jnp.stack([ce * ca, ce * sa, se])
+    return jnp.stack([u, v, w])
+
+
+def _shape(shape: tuple[int, int]) -> tuple[int, int]:
+    if len(shape) != 2 or min(shape) < 1:
+        raise ValueError(f"Camera.shape: got {tuple(shape)}, expected (rows, columns), both >= 1")
+    return int(shape[0]), int(shape[1])
+
+
+def perspective_camera(
+    azimuth: Any,
+    elevation: Any,
+    distance: Any,
+    angular_resolution: Any,
+    shape: tuple[int, int],
+    target: Any = (0.0, 0.0, 0.0),
+) -> Camera:
+    """A camera at a finite range.
+
+    Args:
+        azimuth: aspect of the camera seen from the target [deg], see `view_frame`.
+        elevation: likewise [deg].
+        distance: from the target to the camera [m].
+        angular_resolution: angle of one pixel at the image's centre [rad].
+        shape: rows and columns.
+        target: point in the middle of the image [3] [m].
+
+    Returns:
+        The camera.
+
+    Raises:
+        ValueError: a shape is wrong, or distance or resolution are not positive.
+    """
+    range_ = as_float(distance, "distance")
+    step = as_float(angular_resolution, "angular_resolution")
+    for field, value in (("distance", range_), ("angular_resolution", step)):
+        require_shape(field, value, ())
+        _require_positive(field, value)
+    point = as_float(target, "target")
+    require_shape("target", point, (3,))
+    pixel = jnp.tile((range_ * step)[None], 2)
+    return Camera(point, view_frame(azimuth, elevation), 1 / range_, pixel, _shape(shape))
+
+
+def orthographic_camera(
+    azimuth: Any,
+    elevation: Any,
+    pixel: Any,
+    shape: tuple[int, int],
+    target: Any = (0.0, 0.0, 0.0),
+) -> Camera:
+    """A camera at infinity; `pixel` is the size of a pixel at the target [m], others as `perspective_camera`."""
+    size = as_float(pixel, "pixel")
+    if size.shape not in ((), (2,)):
+        raise ValueError(f"pixel: got shape {size.shape}, expected one value or (2,)")
+    _require_positive("pixel", size)
+    point = as_float(target, "target")
+    require_shape("target", point, (3,))
+    pair = jnp.broadcast_to(size, (2,))
+    return Camera(point, view_frame(azimuth, elevation), jnp.zeros_like(pair[0]), pair, _shape(shape))
+
+
+def _require_positive(field: str, value: Array) -> None:
+    """Raise `ValueError` for known values that are not positive and finite."""
+    enforce(value, [positive(field, value)])
+
+
+def fitted_camera(
+    azimuth: Any, elevation: Any, extent: Float[Array, "corner 3"], shape: tuple[int, int], distance: Any = np.inf
+) -> Camera:
+    """A camera whose image just holds a scene.
+
+    Args:
+        azimuth: [deg].
+        elevation: [deg].
+        extent: points whose convex hull holds the scene [corner, 3] [m].
+        shape: rows and columns; pixels are as wide and as high as the scene's outline asks.
+        distance: from the middle of the extent to the camera [m]; infinite by default.
+
+    Returns:
+        The camera, aimed at the middle of the outline.
+    """
+    return camera_around(view_frame(azimuth, elevation), extent, shape, distance)
+
+
+def camera_around(
+    frame: Float[Array, "3 3"], extent: Float[Array, "corner 3"], shape: tuple[int, int], distance: Any = np.inf
+) -> Camera:
+    """As `fitted_camera`, with an image frame of any roll."""
+    inverse = 1 / as_float(distance, "distance")
+    require_shape("distance", inverse, ())
+    rows, columns = _shape(shape)
+    centre = (extent.max(axis=0) + extent.min(axis=0)) / 2
+
+    def aimed(target: Array) -> Camera:
+        return Camera(target, frame, inverse, jnp.ones_like(target[:2]), (rows, columns))
+
+    seen = aimed(centre).project(extent)
+    target = centre + ((seen.max(axis=0) + seen.min(axis=0)) / 2) @ frame[:2]
+    camera = aimed(target)
+    half = jnp.max(jnp.abs(camera.project(extent)), axis=0)  # the eye moved along, so the outline is taken again
+    half = jnp.maximum(half, 1e-6 * jnp.max(half))  # a plate seen edge-on still has an image
+    return eqx.tree_at(lambda c: c.pixel, camera, half * 2.002 / as_float(np.array([columns, rows])))
+
+
+def pixel_strata(samples: int) -> tuple[int, int]:
+    """Columns and rows of strata in a pixel: samples / 2 of them, as square as its divisors allow."""
+    if samples < 2 or samples % 2:
+        raise ValueError(f"samples: got {samples}, expected an even number >= 2 (two points in each stratum)")
+    half = samples // 2
+    rows = max(d for d in range(1, math.isqrt(half) + 1) if half % d == 0)
+    return half // rows, rows
+
+
+def stratum_points(
+    key: Key[Array, ""], index: Int[Array, ""], tiles: int, strata: tuple[int, int]
+) -> Float[Array, "2 tile pixel 2"]:
+    """The two random points of one stratum, for all pixels of some tiles, as places in (0, 1) inside the pixels.
+
+    One random word serves both coordinates: points lie in the middles of 65536 x 65536 cells of the stratum.
+    """
+    cells = as_float(np.array(strata))
+    corner = jnp.stack([index % strata[0], index // strata[0]]).astype(cells.dtype)
+    word = jax.random.bits(jax.random.fold_in(key, index), (2, tiles, TILE * TILE), jnp.uint32)
+    halves = jnp.stack([word >> 16, word & 0xFFFF], axis=-1)
+    jitter = (halves.astype(cells.dtype) + 0.5) / 65536
+    return (corner[None, None, None, :] + jitter) / cells[None, None, None, :]
+
+
+def pixel_samples(key: Key[Array, ""], tiles: int, samples: int) -> Float[Array, "stratum 2 tile pixel 2"]:
+    """Places inside pixels in [0, 1): two independent points in each of samples / 2 strata."""
+    strata = pixel_strata(samples)
+    index = jnp.arange(strata[0] * strata[1], dtype=jnp.int32)
+    return jax.vmap(lambda i: stratum_points(key, i, tiles, strata))(index)

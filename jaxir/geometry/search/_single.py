@@ -1,0 +1,259 @@
+"""Search of a tree by unrelated rays, one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import custom_vmap, sequential_vmap
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxir.geometry import bits, greater, item, lesser, lowest_bit, octant, row, varying, where_some
+from jaxir.geometry.search._tree import WIDTH, Tree
+
+NONE = -2  # the place of no face
+DOUBT = -1  # rounding leaves open whether a face is met that would come first
+_FAR = 3e38
+_ROUNDING = 11.0  # bound of the rounding of an edge's moment, in units of the last place, see `_leaf_hits`
+
+
+class Query(NamedTuple):
+    """What single rays ask; every field has one row a ray.
+
+    Attributes:
+        origin: [ray, 3] [m].
+        direction: [ray, 3], unit.
+        near: hits lie beyond this distance [ray] [m].
+        far: and before this one [ray] [m]; a ray with far <= near is inactive.
+        skip: place of a face in the tree that is not met, -1 for none [ray].
+        side: +1 meets only faces whose normal looks along the ray, -1 only faces that look against it, 0 both [ray].
+    """
+
+    origin: Float[Array, "*ray 3"]
+    direction: Float[Array, "*ray 3"]
+    near: Float[Array, "*ray"]
+    far: Float[Array, "*ray"]
+    skip: Int[Array, "*ray"]
+    side: Float[Array, "*ray"]
+
+
+def search_single(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]:
+    """The face that each ray meets first, or with `any_hit` some face that it meets; -1 for none.
+
+    Under `jax.vmap` over rays the batch becomes more rays; over trees it becomes a loop, because searches in
+    lockstep wait for the slowest.
+    """
+
+    @custom_vmap
+    def search(tree: Tree, query: Query) -> Array:
+        return _search(tree, query, any_hit)
+
+    @search.def_vmap
+    def rule(size: int, batched: Any, tree: Any, query: Any) -> tuple[Array, bool]:
+        if any(jax.tree.leaves(batched[0])):
+            looped = sequential_vmap(lambda tree, query: search(tree, query))
+            axes = jax.tree.map(lambda flag: 0 if flag else None, batched, is_leaf=lambda x: isinstance(x, bool))
+            return jax.vmap(looped, in_axes=axes)(tree, query), True
+        flat = [
+            (value if flag else jnp.broadcast_to(value[None], (size, *value.shape))).reshape(
+                -1, *value.shape[1 + flag :]
+            )
+            for value, flag in zip(query, batched[1], strict=True)
+        ]
+        return search(tree, Query(*flat)).reshape(size, -1), True
+
+    return search(tree, query)
+
+
+def _search(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]:
+    def one(ray: Query) -> Array:
+        with jax.enable_x64(True):
+            return _search_ray(tree, _approach(tree, ray, tree.leaves.dtype), any_hit, settle=False)
+
+    place = lax.platform_dependent(
+        query, cpu=lambda query: lax.map(one, query), default=lambda query: jax.vmap(one)(query)
+    )
+    place = settled(tree, place, query, lambda ray: ray, any_hit)
+    return face_at(tree, place)
+
+
+def face_at(tree: Tree, place: Int[Array, " ray"]) -> Int[Array, " ray"]:
+    """The faces in places of the tree, -1 for no place."""
+    return jnp.where(place >= 0, tree.face.reshape(-1)[jnp.maximum(place, 0)], -1)
+
+
+def settled(
+    tree: Tree, place: Int[Array, " ray"], rays: Any, ask: Callable[[Any], Query], any_hit: bool
+) -> Int[Array, " ray"]:
+    """Places that rays meet, with those in `DOUBT` searched again in double precision.
+
+    Args:
+        tree: the tree.
+        place: what a search found [ray].
+        rays: arrays with one row a ray.
+        ask: the query of one ray from its rows of `rays`, traced with 64-bit types enabled.
+        any_hit: as in `search_single`.
+    """
+
+    def again(rays: Any) -> Array:
+        with jax.enable_x64(True):
+            return _search_ray(tree, _approach(tree, ask(rays), jnp.dtype("float64")), any_hit, settle=True)
+
+    return where_some(again, place == DOUBT, place, rays)
+
+
+def _approach(tree: Tree, ray: Query, dtype: Any) -> Query:
+    """A ray as `_search_ray` takes it: measured from the tree's centre, in `dtype`, rounded once.
+
+    A distant ray starts its search near the mesh, where a float has the grain of the mesh.
+    """
+    double = jnp.float64
+    origin = ray.origin.astype(double) - tree.centre.astype(double)
+    direction = ray.direction.astype(double)
+    radius = _radius(tree).astype(double)
+    along = -jnp.sum(origin * direction)
+    skipped = jnp.where(along > 3 * radius, along - 2 * radius, 0)
+    origin = origin + skipped * direction
+    near, far = (jnp.clip(t.astype(double) - skipped, -_FAR, _FAR).astype(dtype) for t in (ray.near, ray.far))
+    return Query(origin.astype(dtype), direction.astype(dtype), near, far, ray.skip, ray.side.astype(dtype))
+
+
+def _radius(tree: Tree) -> Float[Array, ""]:
+    """Distance from the tree's centre within which the mesh lies [m]."""
+    return jnp.sqrt(jnp.sum(tree.extent * tree.extent))
+
+
+def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Array, ""]:
+    """Place in the tree of the face that one ray meets, `NONE` or, unless told to settle, `DOUBT`.
+
+    The fields of `ray` have no ray axis; its dtype is that of the arithmetic.
+    """
+    origin, direction, near, far = ray.origin, ray.direction, ray.near, ray.far
+    dtype = origin.dtype
+    reach = _radius(tree).astype(dtype) + jnp.sqrt(jnp.sum(origin * origin))
+    bound = _ROUNDING * float(jnp.finfo(dtype).eps) * reach
+    inverse = 1 / jnp.where(jnp.abs(direction) > 1e-20, direction, 1e-20)
+    shift = origin * inverse
+    first = octant(direction)
+
+    def meets_boxes(level: int, node: Array, best: Array) -> Array:
+        b = row(tree.boxes[level], node).astype(dtype)
+        sides = [b[k * WIDTH : (k + 1) * WIDTH] * inverse[k % 3] - shift[k % 3] for k in range(6)]
+        enter = [lesser(sides[k], sides[k + 3]) for k in range(3)]
+        leave = [greater(sides[k], sides[k + 3]) for k in range(3)]
+        start = greater(greater(enter[0], enter[1]), greater(enter[2], near))
+        stop = lesser(lesser(leave[0], leave[1]), lesser(leave[2], best))
+        return bits(start <= stop)
+
+    def visit(level: int, node: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        if level == len(tree.children):
+            return leaf(node, state)
+        place = first * (tree.children[level].shape[0] // 8) + node
+
+        def body(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+            mask = carry[0]
+            child = item(tree.children[level], place, lowest_bit(mask))
+            best, found, doubt = visit(level + 1, child, carry[1:])
+            mask = mask & (mask - 1)
+            if any_hit:
+                mask = jnp.where(found >= 0, 0, mask)
+            return mask, best, found, doubt
+
+        mask = meets_boxes(level, place, state[0])
+        return lax.while_loop(lambda carry: carry[0] != 0, body, (mask, *state))[1:]
+
+    def leaf(number: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        best, found, doubt = state
+        places = number * tree.slots + jnp.arange(tree.slots, dtype=jnp.int32)
+        t, unsure = _leaf_hits(row(tree.leaves, number).astype(dtype), ray, places, best, bound, settle)
+
+        def nearer(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            mask, best, found = carry
+            which = lowest_bit(mask)
+            distance = item(t, which)
+            closer = distance < best
+            place = number * tree.slots + which
+            return mask & (mask - 1), jnp.where(closer, distance, best), jnp.where(closer, place, found)
+
+        # few faces are met: to look at those costs less than the smallest of all
+        _, best, found = lax.while_loop(lambda carry: carry[0] != 0, nearer, (bits(t < best), best, found))
+        return best, found, doubt | jnp.max(unsure.astype(jnp.int32))
+
+    state = varying((far, jnp.full((), NONE, jnp.int32), jnp.zeros((), jnp.int32)), direction[0])
+    _, found, doubt = visit(0, jnp.zeros((), jnp.int32), state)
+    if settle:
+        return found
+    decided = (found >= 0) if any_hit else (doubt == 0)
+    return jnp.where(decided | (doubt == 0), found, jnp.int32(DOUBT))
+
+
+def _leaf_hits(
+    leaf: Float[Array, " lane"],
+    ray: Query,
+    places: Int[Array, " slot"],
+    best: Float[Array, ""],
+    bound: Float[Array, ""],
+    settle: bool,
+) -> tuple[Float[Array, " slot"], Bool[Array, " slot"]]:
+    """Where a ray surely meets the faces of one leaf, and which others it may meet.
+
+    With corners p, q of an edge relative to the ray's origin, the ray passes the edge on the side told by the sign of
+    direction . ((p + q) x (q - p)), the ray's moment about the edge (Pluecker coordinates). What is computed is the
+    moment about an edge whose ends were moved by rounding, plus the rounding of the products. A ray that keeps from
+    the three moved edges a distance larger than both is truly inside or truly outside, because no edge crossed it on
+    its way. With u = eps / 2, r the largest distance of a corner from the ray's origin and |e| the edge's length,
+    moving an edge changes the moment by 4 u r |e| (corners 2 u r, each against the origin) and its products err by
+    16.2 u r |e| (7 roundings of terms that sum up to 2 r |e| 2 / sqrt(3)), so by 11 eps r |e| together. Exchanging p
+    and q negates every rounded intermediate, so two faces never disagree about the moment of a shared edge.
+
+    Args:
+        leaf: a row of `Tree.leaves`.
+        ray: one ray, as in `_search_ray`.
+        places: of the faces in the tree.
+        best: distance before which faces are asked for [m].
+        bound: 11 eps r [m].
+        settle: a ray within the bound of an edge meets it, and a face that the bound cannot tell from one seen
+            edge-on is not met, because its neighbours are.
+
+    Returns:
+        t: distances of faces that are met beyond `near`, whatever rounding did [m]; huge for the others.
+        unsure: faces of which rounding leaves open whether they are met between `near` and `best`.
+    """
+    slot = leaf.shape[0] // 15
+    corner = [leaf[5 * k * slot : 5 * (k + 1) * slot] - ray.origin[k] for k in range(3)]
+    start = [c[slot : 4 * slot] for c in corner]
+    stop = [c[2 * slot :] for c in corner]
+    sx, sy, sz = (p + q for p, q in zip(start, stop, strict=True))
+    ex, ey, ez = (q - p for p, q in zip(start, stop, strict=True))
+    dx, dy, dz = ray.direction[0], ray.direction[1], ray.direction[2]
+    moment = dx * (sy * ez - sz * ey) + dy * (sz * ex - sx * ez) + dz * (sx * ey - sy * ex)
+    error = bound * (jnp.abs(ex) + jnp.abs(ey) + jnp.abs(ez))
+    # in units of its error; the division also keeps XLA from computing the moment anew for all that follows
+    moment = moment / jnp.where(error > 0, error, 1)
+    depth = dx * corner[0][: 3 * slot] + dy * corner[1][: 3 * slot] + dz * corner[2][: 3 * slot]
+    parts = [slice(k * slot, (k + 1) * slot) for k in range(3)]
+
+    def fold(operation: Callable[..., Array], lanes: Array) -> Array:
+        return operation(operation(lanes[parts[0]], lanes[parts[1]]), lanes[parts[2]])
+
+    low, high = fold(lesser, moment), fold(greater, moment)
+    weight = moment * error
+    volume = fold(jnp.add, weight)
+    along, against = ray.side >= 0, ray.side <= 0
+    first, last = fold(lesser, depth), fold(greater, depth)
+    other = places != ray.skip
+    if settle:
+        blur = fold(jnp.add, error)
+        met = (low >= -1) & along & (volume > blur) | (high <= 1) & against & (volume < -blur)
+    else:
+        met = (low >= 1) & along | (high <= -1) & against
+    possible = ((low >= -1) & along | (high <= 1) & against) & (error[parts[0]] > 0) & ~met
+    unsure = possible & other & (last > ray.near) & (first < best)
+    weighted = fold(jnp.add, weight * depth)
+    # a hit at or before `near` is none: weighted / volume > near, without a division
+    met = met & other & (weighted * jnp.sign(volume) > ray.near * jnp.abs(volume))
+    # a division comes last, or XLA computes all this anew for every use of t
+    return jnp.where(met, weighted, _FAR) / jnp.where(met, volume, 1), unsure

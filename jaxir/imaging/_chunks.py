@@ -1,0 +1,283 @@
+"""An image in chunks of tiles: what bounds memory, whatever the size of the image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int, Key
+
+from jaxir._arrays import Check, enforce
+from jaxir.geometry import TILE, Camera, pixel_strata, stratum_points
+from jaxir.geometry.search import may_see
+from jaxir.imaging._image import Image, image_of
+from jaxir.optics.spectrum import Band, Nodes, as_nodes
+from jaxir.scene.background import AbstractUniformBackground
+from jaxir.scene.scene import Scene
+from jaxir.transport.evaluate import empty_radiance, evaluate, evaluate_orders
+from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
+from jaxir.transport.paths import trace
+from jaxir.transport.radiometry import Radiometry, compiled_radiometry
+from jaxir.transport.reflection import Reflection, reflection_of
+from jaxir.transport.scattering import Scattering, scattering_of
+
+TILES = 64  # of a chunk at most
+TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in the cache
+BLOCKS = 3  # in which the tiles of a chunk are traced at least, so that those that see nothing are left out
+PARTS = 8  # chunks of a small image, for so many devices to share
+SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
+STRATA_AT_ONCE = 8  # of a pixel, whose rays are traced side by side: bundles then cover fewer pixels and faces
+
+
+class Method(eqx.Module):
+    """How radiance is found where there is a choice.
+
+    Attributes:
+        reflection: how light reflected by the skin is found; None where delta sources alone light it.
+        scattering: how often paths are scattered by particles; None without particles.
+        path: estimator of a gridded plume's radiance along a ray.
+    """
+
+    reflection: Reflection | None
+    scattering: Scattering | None
+    path: AbstractPathEstimator
+
+    @eqx.filter_jit
+    def checks(self, scene: Scene) -> list[Check]:
+        """The method suits the scene; compiled, because a closed form looks at every pair of face and vertex."""
+        return [] if self.reflection is None else self.reflection.checks(scene)
+
+    def samples(self, scene: Scene) -> int:
+        """Directions recorded for each ray."""
+        at_skin = 1 if self.reflection is None else self.reflection.samples(scene)
+        return at_skin if self.scattering is None else at_skin + self.scattering.orders
+
+
+def method_of(
+    scene: Scene, reflection: Reflection | None, scattering: Scattering | None, path: AbstractPathEstimator
+) -> Method:
+    """What is asked, with `Reflection()` for area sources and `Scattering()` for particles where nothing is."""
+    return Method(reflection_of(scene, reflection), scattering_of(scene, scattering), path)
+
+
+class Estimate(NamedTuple):
+    """Mean radiance in the pixels of tiles and its variance [tile, pixel, band].
+
+    `empty` is what would be seen without the scene; one value [1, 1, band] where the background is uniform. `orders`
+    is what the last two orders of scattering brought [tile, pixel, 2, band]; None without particles.
+    """
+
+    mean: Array
+    variance: Array
+    empty: Array
+    orders: Array | None
+
+
+class Pass(NamedTuple):
+    """One pass over the pixels of an image.
+
+    Attributes:
+        optical: the scene on the nodes.
+        camera: the eye.
+        key: random key.
+        strata: columns and rows of strata in a pixel.
+        method: how radiance is found.
+        parts: chunks into which a small image is cut all the same.
+    """
+
+    optical: Radiometry
+    camera: Camera
+    key: Array
+    strata: tuple[int, int]
+    method: Method
+    parts: int = PARTS
+
+    @property
+    def strata_at_once(self) -> int:
+        """Strata of every pixel that are traced together; the last time some may lie beyond the last stratum.
+
+        As many as cost least, if rays side by side cost as much as their number and one more.
+        """
+        count, most = self.strata[0] * self.strata[1], min(STRATA_AT_ONCE, max(self._at_once // 2, 1))
+        return min(range(1, most + 1), key=lambda some: -(-count // some) * (some + 1))
+
+    @property
+    def tiles_at_once(self) -> int:
+        """Tiles that are traced together, so that rays are at most those of `TILES_AT_ONCE` tiles."""
+        return min(max(self._at_once // (2 * self.strata_at_once), 1), -(-self._share // BLOCKS))
+
+    @property
+    def size(self) -> int:
+        """Tiles of a chunk: fewer where a ray carries many samples, and in images of less than `parts` full chunks."""
+        return self.tiles_at_once * -(-self._share // self.tiles_at_once)
+
+    @property
+    def _at_once(self) -> int:
+        return max(TILES_AT_ONCE // self._each, 1)
+
+    @property
+    def _share(self) -> int:
+        return min(max(TILES // self._each, 1), -(-self.tiles // self.parts))
+
+    @property
+    def _each(self) -> int:
+        """Rays that a ray counts for, by the samples that it carries."""
+        return -(-self.method.samples(self.optical.scene) // SAMPLES_AT_ONCE)
+
+    @property
+    def tiles(self) -> int:
+        """Tiles of the image."""
+        return self.camera.tiles[0] * self.camera.tiles[1]
+
+    def chunks(self) -> Int[Array, " chunk"]:
+        """Numbers of the chunks."""
+        return jnp.arange(-(-self.tiles // self.size), dtype=jnp.int32)
+
+    def tile(self, chunk: Int[Array, ""] | int) -> Int[Array, " tile"]:
+        """Tiles of a chunk, spread over the image, so that chunks cost the same; the last may lie beyond it."""
+        count = self.chunks().shape[0]
+        return jnp.asarray(chunk, jnp.int32) + count * jnp.arange(self.size, dtype=jnp.int32)
+
+
+def first_pass(
+    scene: Scene,
+    camera: Camera,
+    bands: Nodes | Band | Sequence[Band],
+    key: Key[Array, ""],
+    samples: int,
+    method: Method,
+    parts: int = PARTS,
+) -> Pass:
+    """A pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
+    strata = pixel_strata(samples)
+    checks = [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)]
+    optical = compiled_radiometry(scene, enforce(as_nodes(bands), checks))
+    return Pass(optical, camera, key, strata, method, parts)
+
+
+@eqx.filter_jit
+def whole_image(taken: Pass, parts: Estimate) -> Image:
+    """The image of the estimates of all chunks, stacked."""
+    camera = taken.camera
+    mean, variance = _untile(camera, parts.mean), _untile(camera, parts.variance)
+    empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else _untile(camera, parts.empty)
+    orders = None
+    if parts.orders is not None:
+        orders = _untile(camera, parts.orders.reshape((*parts.orders.shape[:3], -1)))
+        orders = orders.reshape((*orders.shape[:2], 2, -1))
+    samples = 2 * taken.strata[0] * taken.strata[1]
+    return image_of(camera, taken.optical.nodes.names, mean, variance, empty, samples, orders)
+
+
+def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
+    """An image from the values of all chunks."""
+    flat = jnp.swapaxes(value, 0, 1).reshape((-1,) + value.shape[2:])
+    return camera.untile(flat[: camera.tiles[0] * camera.tiles[1]])
+
+
+@eqx.filter_jit
+def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
+    """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles.
+
+    Before a uniform background no ray is taken in tiles that see nothing of the scene.
+    """
+    optical, camera, key, strata, method, _ = taken
+    background = optical.scene.background
+    uniform = background is None or isinstance(background, AbstractUniformBackground)
+    empty = optical.nodes.in_band(empty_radiance(optical, camera.frame[:1, None])) if uniform else None
+    tile, together, start = taken.tile(chunk), taken.tiles_at_once, optical.scene.start(camera)
+    some = may_see(optical.scene.outline(), camera, tile) if uniform else jnp.ones(tile.shape, bool)
+    order = jnp.argsort(~some, stable=True)  # tiles that see something go together
+
+    def block(own: tuple[Array, Array, Array]) -> tuple[_Seen, Array]:
+        tile, key, some = own
+
+        def nothing() -> tuple[_Seen, Array]:
+            dark = _dark(taken, empty)
+            assert empty is not None
+            return dark._replace(radiance=dark.radiance + empty), dark.radiance
+
+        if not uniform:
+            return _estimate(taken, tile, key, start, empty)
+        return lax.cond(some, lambda: _estimate(taken, tile, key, start, empty), nothing)
+
+    blocks = (-1, together)
+    own = jax.random.fold_in(key, chunk)
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(own, jnp.arange(tile.shape[0] // together, dtype=jnp.uint32))
+    every = lax.map(block, (tile[order].reshape(blocks), keys, jnp.any(some[order].reshape(blocks), axis=1)))
+    back = jnp.argsort(order)
+    mean, variance = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:]))[back], every)
+    return Estimate(mean.radiance, variance, mean.empty if empty is None else empty, mean.orders)
+
+
+def _dark(taken: Pass, empty: Array | None) -> _Seen:
+    """No light in the pixels of the tiles that are handled at once."""
+    pixels = (taken.tiles_at_once, TILE * TILE)
+    bands, dtype = taken.optical.nodes.response.shape[0], taken.camera.pixel.dtype
+    zero = jnp.zeros((*pixels, bands), dtype)
+    orders = None if taken.method.scattering is None else jnp.zeros((*pixels, 2, bands), dtype)
+    return _Seen(zero, zero if empty is None else None, orders)
+
+
+def _estimate(
+    taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], start: Float[Array, ""], empty: Array | None
+) -> tuple[_Seen, Array]:
+    """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
+    optical, camera, _, strata, method, _ = taken
+    size, some, count = tile.shape[0], taken.strata_at_once, strata[0] * strata[1]
+
+    def group(carry: tuple[_Seen, Array], first: Array) -> tuple[tuple[_Seen, Array], None]:
+        index = first + jnp.arange(some, dtype=jnp.int32)
+        offset = jax.vmap(lambda i: stratum_points(own, i, size, strata))(index)
+        screen = jax.vmap(jax.vmap(lambda o: camera.screen(tile, o)))(offset)
+        screen = screen.transpose(2, 3, 0, 1, 4).reshape(-1, 2)  # the rays of a pixel side by side
+        anew = jax.random.fold_in(jax.random.fold_in(own, first), 1)
+        paths = trace(optical.scene, camera.bundle(screen, start), method.reflection, anew, method.scattering)
+        orders = None
+        if paths.scatter is not None and isinstance(method.path, CellSum):
+            parts = evaluate_orders(optical, paths, method.reflection)
+            radiance, orders = parts.radiance, jnp.stack([parts.last, parts.before], axis=1)
+        else:
+            along = None if isinstance(method.path, CellSum) else jax.random.fold_in(anew, 1)
+            radiance = evaluate(optical, paths, method.reflection, method.path, along)
+        without = empty_radiance(optical, paths.rays.direction) if empty is None else None
+        seen = jax.tree.map(
+            lambda value: optical.nodes.in_band(value).reshape((size, TILE * TILE, some, 2, *value.shape[1:-1], -1)),
+            _Seen(radiance, without, orders),
+        )
+
+        def added(value: Array) -> Array:
+            there = (index < count).reshape((-1, *(1,) * (value.ndim - 3)))[None, None]
+            return jnp.sum(jnp.where(there, value, 0), axis=2)
+
+        mean = jax.tree.map(lambda value: added((value[:, :, :, 0] + value[:, :, :, 1]) / 2), seen)
+        apart = seen.radiance[:, :, :, 0] - seen.radiance[:, :, :, 1]
+        total, square = carry
+        return (jax.tree.map(jnp.add, total, mean), square + added(apart**2) / 4), None
+
+    dark = _dark(taken, empty)
+    (total, square), _ = lax.scan(group, (dark, dark.radiance), jnp.arange(0, count, some, dtype=jnp.int32))
+    return jax.tree.map(lambda sum: sum / count, total), square / count**2
+
+
+class _Seen(NamedTuple):
+    """What rays see [ray, node] or pixels [tile, pixel, band]: the scene, the same without it, two orders of it."""
+
+    radiance: Array
+    empty: Array | None
+    orders: Array | None
+
+
+def eye_outside(scene: Scene, camera: Camera) -> Check:
+    """Rays start on the scene's bounding sphere, so the eye must be beyond it."""
+    reach = scene.radius(camera.target) * camera.inverse_range
+    return Check(
+        "Camera: (radius of the scene about the target) / distance",
+        reach,
+        reach < 1,
+        "less than 1: an eye outside the scene's bounding sphere",
+    )

@@ -1,0 +1,57 @@
+"""Radiant intensity of skin that hides nothing: no rays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxir._arrays import enforce
+from jaxir.geometry import view_frame
+from jaxir.optics.spectrum import Band, Nodes, as_nodes
+from jaxir.scene.scene import Scene
+from jaxir.scene.source import ParallelSource
+from jaxir.transport.evaluate import unoccluded_radiance
+from jaxir.transport.radiometry import radiometry
+
+
+def unoccluded_intensity(
+    scene: Scene, azimuth: Any, elevation: Any, bands: Nodes | Band | Sequence[Band]
+) -> Float[Array, " band"]:
+    """Radiant intensity of skin whose faces do not hide or shade one another: a sum over faces, no rays.
+
+        I = sum_f A_f max(n_f . o, 0) L_f(o)
+
+    Exact for convex bodies and for open surfaces seen from outside; an upper bound otherwise. Backs of faces do not
+    count.
+
+    Args:
+        scene: skin, with sources and air if present; no plume. The background is not subtracted.
+        azimuth: aspect [deg], see `view_frame`.
+        elevation: likewise [deg].
+        bands: bands or nodes.
+
+    Returns:
+        Radiant intensity [band] [W sr-1], through the atmosphere's transmittance if there is one.
+
+    Raises:
+        ValueError: the scene has a plume or no skin, or values are out of range.
+
+    Differentiable in every radiometric leaf, in the vertices, and in the aspect.
+    """
+    if scene.skin is None or scene.plume is not None:
+        raise ValueError("scene: got a plume or no skin, expected skin alone; use render or signature for plumes")
+    if scene.area_sources or not all(isinstance(source, ParallelSource) for source in scene.delta_sources):
+        raise ValueError("scene: got sources at a finite distance, expected parallel ones; use render or signature")
+    nodes = enforce(as_nodes(bands), scene.checks())
+    optical = radiometry(scene, nodes)
+    toward = view_frame(azimuth, elevation)[2]
+    vector = scene.skin.mesh.area_vectors()
+    projected = jnp.maximum(jnp.sum(vector * toward[None, :], axis=-1), 0)
+    radiance = unoccluded_radiance(optical, toward)
+    intensity = jnp.sum(projected[:, None] * radiance, axis=0)
+    if optical.transmittance is not None:
+        intensity = intensity * optical.transmittance
+    return nodes.in_band(intensity)

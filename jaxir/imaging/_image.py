@@ -1,0 +1,122 @@
+"""A radiance image with its standard error."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxir.geometry import Camera
+
+
+class Outcome(eqx.Enumeration):
+    """Why a computation ended."""
+
+    samples_taken = "All samples asked for were taken."
+    tolerance_met = "The standard error of every band's intensity fell below the relative tolerance."
+    samples_spent = "The samples were spent before the standard error met the relative tolerance."
+
+
+class Image(eqx.Module):
+    """A radiance image at the entrance pupil.
+
+    Attributes:
+        radiance: mean over each pixel, equation (1) [row, column, band] [W m-2 sr-1].
+        standard_error: of `radiance`, from the pixel's own samples [row, column, band].
+        empty: what the pixels would show without the scene; one pixel stands for all where the background is uniform
+            [row | 1, column | 1, band].
+        camera: what took it.
+        bands: band names.
+        samples: rays taken per pixel.
+        outcome: why no more were taken, an item of `Outcome`.
+        orders: what the last two orders of scattering brought of the radiant intensity, the last first [2, band]
+            [W sr-1]; None without particles.
+    """
+
+    radiance: Float[Array, "row column band"]
+    standard_error: Float[Array, "row column band"]
+    empty: Float[Array, "_row _column band"]
+    camera: Camera
+    bands: tuple[str, ...] = eqx.field(static=True)
+    samples: Int[Array, ""]
+    outcome: Outcome
+    orders: Float[Array, "2 band"] | None = None
+
+    def radiant_intensity(self) -> Float[Array, " band"]:
+        """Radiant intensity in contrast to what the empty image would show [band] [W sr-1].
+
+        I = sum over pixels of (L - L_empty) * area, with `Camera.pixel_area`. Without background and air this is the
+        intensity of the source itself; with air it is the apparent one.
+        """
+        area = self.camera.pixel_area()
+        return jnp.sum((self.radiance - self.empty) * area[:, :, None], axis=(0, 1))
+
+    def intensity_error(self) -> Float[Array, " band"]:
+        """Standard error of `radiant_intensity` [band] [W sr-1]; pixels are sampled independently.
+
+        Where the background is not uniform this counts its variation within pixels too, which the contrast does not.
+        """
+        area = self.camera.pixel_area()
+        variance = jnp.sum((self.standard_error * area[:, :, None]) ** 2, axis=(0, 1))
+        return _sqrt_or_zero(variance)
+
+    def missing(self) -> Float[Array, " band"]:
+        """Share of the radiant intensity that orders of scattering beyond the last would add, estimated [band].
+
+        See `missing_share`; 0 without particles.
+        """
+        intensity = self.radiant_intensity()
+        return jnp.zeros_like(intensity) if self.orders is None else missing_share(self.orders, intensity)
+
+
+def missing_share(orders: Float[Array, "*view 2 band"], intensity: Float[Array, "*view band"]) -> Array:
+    """What is left out beyond the last order of scattering, as a share of the intensity [*view, band].
+
+    Orders fall at last like a geometric series: the rest is last r / (1 - r) with r = last / one before; inf where
+    there are no two orders or they do not fall, 0 where the last brings nothing.
+    """
+    last, before = jnp.abs(orders[..., 0, :]), jnp.abs(orders[..., 1, :])
+    falls = last < before
+    rest = last * last / jnp.where(falls, before - last, 1)
+    share = rest / jnp.where(intensity != 0, jnp.abs(intensity), 1)
+    return jnp.where(last == 0, 0, jnp.where(falls & (intensity != 0), share, jnp.inf))
+
+
+def image_of(
+    camera: Camera,
+    bands: tuple[str, ...],
+    mean: Float[Array, "row column band"],
+    variance: Float[Array, "row column band"],
+    empty: Float[Array, "_row _column band"],
+    samples: int,
+    orders: Float[Array, "row column 2 band"] | None,
+) -> Image:
+    """The image of one pass of `samples` rays per pixel; `orders` are those of each pixel's radiance."""
+    area = camera.pixel_area()[:, :, None, None]
+    whole = None if orders is None else jnp.sum(orders * area, axis=(0, 1))
+    taken = jnp.asarray(samples, jnp.int32)
+    return Image(mean, _sqrt_or_zero(variance), empty, camera, bands, taken, Outcome.samples_taken, whole)  # type: ignore
+
+
+def meets(image: Image, rtol: float) -> bool:
+    """Whether the standard error of the intensity of every band is at most `rtol` of it."""
+    return bool((image.intensity_error() <= rtol * jnp.abs(image.radiant_intensity())).all())
+
+
+def joined(image: Image, more: Image) -> Image:
+    """The mean of two images of the same pixels, weighted by their samples."""
+    taken = image.samples + more.samples
+    own, other = (part.samples / taken for part in (image, more))
+    error = jnp.sqrt((own * image.standard_error) ** 2 + (other * more.standard_error) ** 2)
+    radiance, empty, orders = jax.tree.map(
+        lambda a, b: own * a + other * b,
+        (image.radiance, image.empty, image.orders),
+        (more.radiance, more.empty, more.orders),
+    )
+    return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders)
+
+
+def _sqrt_or_zero(value: Array) -> Array:
+    """Square root with a derivative of 0 at 0."""
+    return jnp.where(value > 0, jnp.sqrt(jnp.where(value > 0, value, 1)), 0)

@@ -1,0 +1,119 @@
+"""A radiance image, in one pass or in as many as a tolerance asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Key
+
+from jaxir.geometry import Camera, pixel_strata
+from jaxir.imaging._chunks import PARTS, estimate_chunk, first_pass, method_of, whole_image
+from jaxir.imaging._devices import is_traced, over_items, shared_by
+from jaxir.imaging._image import Image, Outcome, joined, meets
+from jaxir.imaging._pilot import well_shaped
+from jaxir.imaging._planning import FEW, plan_pass, require_rtol
+from jaxir.optics.spectrum import Band, Nodes
+from jaxir.scene.scene import Scene
+from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
+from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
+
+
+def render(
+    scene: Scene,
+    camera: Camera,
+    bands: Nodes | Band | Sequence[Band],
+    *,
+    samples: int | None = None,
+    key: Key[Array, ""] | None = None,
+    reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
+    rtol: float | None = None,
+    max_samples: int = 4096,
+    path: AbstractPathEstimator = CellSum(),  # noqa: B008
+    devices: Mesh | None = None,
+) -> Image:
+    """Radiance image of a scene.
+
+    Every pixel is cut into samples / 2 strata and each stratum gets two random points, so that half their squared
+    difference is an unbiased estimate of its variance:
+
+        L = mean_k (a_k + b_k) / 2,      se^2 = sum_k (a_k - b_k)^2 / 4 / strata^2.
+
+    Everything along a ray is exact, so a pixel that sees a uniform field has a standard error of 0. The variance over
+    strata of a smooth field falls as samples^-2, across a silhouette as samples^-3/2. Light from area sources and
+    bounces is sampled anew, independently, at every point, so the standard error counts it.
+
+    Args:
+        scene: the scene.
+        camera: the eye.
+        bands: bands (one gray node each) or spectral nodes.
+        samples: rays per pixel; even. By default 8, or with rtol what `jaxir.plan` finds.
+        key: random key; a fixed one by default, so results repeat.
+        reflection: how light from lights with an extent, from the background and from the skin itself is found; see
+            `jaxir.trace`. By default delta sources alone light the skin, and area sources are served by
+            `Reflection()`, or with rtol alone as `jaxir.plan` finds cheapest.
+        scattering: how often paths are scattered by particles; by default `Scattering()` where there are any.
+        rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
+            the intensity: passes of `samples` if given, else as `jaxir.plan` foretells. None takes one pass.
+            `Image.outcome` says whether it was met.
+        max_samples: rays per pixel at which to give up.
+        path: estimator of a gridded plume's radiance along a ray; the exact sum over cells unless asked otherwise.
+        devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
+            `jax.distributed.initialize`, in many; every process gets the whole image. The numbers are those of one
+            device; for more than `PARTS` = 8 devices and fewer than 8 full chunks they are drawn anew.
+
+    Returns:
+        The image. Memory beyond it is bounded by the rays of `TILES_AT_ONCE` tiles, 256 each.
+
+    Raises:
+        ValueError: wrong shapes, values out of range, an eye inside the scene, `rtol` inside jit, <= 0 or beyond
+            the precision in force.
+
+    Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
+    geometry is seen as fixed.
+    """
+    key = jax.random.key(0) if key is None else key
+    planned = samples is None and rtol is not None
+    if rtol is not None:
+        if is_traced((scene, camera, key, reflection, scattering, path)):
+            raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
+        require_rtol(rtol)
+    samples = 8 if samples is None else samples
+    least = FEW if planned else samples
+    if max_samples < least:
+        raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
+    method = method_of(scene, reflection, scattering, path)
+    parts = PARTS if devices is None else max(PARTS, devices.size)
+    first = first_pass(scene, camera, bands, key, least, method, parts)
+    if planned and rtol is not None:
+        pilots = first._replace(key=jax.random.fold_in(key, 0), parts=PARTS)
+        found = plan_pass(pilots, rtol, max_samples, reflection is not None)
+        samples, first = found.samples, first._replace(method=found.method)
+    mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
+
+    def take(own: Array, samples: int) -> Image:
+        taken = first._replace(key=own, strata=pixel_strata(samples))
+        return whole_image(taken, over_items(estimate_chunk, taken, taken.chunks(), "render", mesh))
+
+    image, passes = take(key, samples), 0
+    if rtol is None:
+        return image
+    while not meets(image, rtol) and int(image.samples) + samples <= max_samples:
+        passes += 1
+        more = top_up(image, rtol, samples) if planned else samples
+        image = joined(image, take(jax.random.fold_in(key, passes), more))
+    outcome = Outcome.tolerance_met if meets(image, rtol) else Outcome.samples_spent
+    return eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
+
+
+def top_up(image: Image, rtol: float, most: int) -> int:
+    """Rays per pixel that an image lacks to meet a tolerance, at most `most`: its variance falls as theirs grow."""
+    error, intensity = np.asarray(image.intensity_error()), np.abs(np.asarray(image.radiant_intensity()))
+    short = np.max(np.divide(error, rtol * intensity, out=np.full_like(error, np.inf), where=intensity > 0))
+    wanted = min((short**2 - 1) * int(image.samples) * 1.1, most)
+    return next((count for count in well_shaped(most) if count >= wanted), well_shaped(most)[-1])

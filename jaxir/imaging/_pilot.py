@@ -1,0 +1,100 @@
+"""A few chunks of an image, to foretell the error and the time of the whole."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from jaxir.imaging._chunks import Estimate, Pass, estimate_chunk
+
+CHUNKS = 8  # of a pilot; all of a small image
+SECONDS = 2.0  # after which a pilot takes no more chunks
+QUICK = 0.01  # seconds up to which a chunk is timed twice: other work may disturb it
+
+
+class Pilot(NamedTuple):
+    """What is foretold of one pass over the whole image.
+
+    Attributes:
+        intensity: contrast intensity [band] [W sr-1].
+        variance: of it [band].
+        seconds: without compiling.
+        compile_seconds: until the first chunk was there.
+    """
+
+    intensity: np.ndarray
+    variance: np.ndarray
+    seconds: float
+    compile_seconds: float
+
+
+def pilot(taken: Pass) -> Pilot:
+    """Compute some chunks of a pass; each is a systematic sample of the image's tiles, so few stand for all."""
+    chunks = taken.chunks()
+    compiled = _timed(taken, chunks[0])[1]
+    sums, times = [], []
+    for index in np.unique(np.linspace(0, len(chunks) - 1, CHUNKS).astype(int)):
+        estimate, spent = _timed(taken, chunks[index])
+        times.append(spent if spent > QUICK else min(spent, _timed(taken, chunks[index])[1]))
+        sums.append(_contribution(taken, int(index), estimate))
+        if sum(times) > SECONDS:
+            break
+    intensity, variance = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
+    return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled)
+
+
+def _timed(taken: Pass, chunk: Array) -> tuple[Estimate, float]:
+    """A chunk, and the seconds that it took."""
+    began = time.perf_counter()
+    estimate = jax.block_until_ready(estimate_chunk(taken, chunk))
+    return estimate, time.perf_counter() - began
+
+
+def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    """Intensity of the pixels of one chunk and its variance [band]."""
+    index = np.asarray(taken.camera.pixel_index(taken.tile(chunk)))
+    area = np.append(np.asarray(taken.camera.pixel_area(), np.float64).ravel(), 0.0)[index][:, :, None]
+    mean, variance, empty = (np.asarray(leaf, np.float64) for leaf in estimate[:3])
+    return ((mean - empty) * area).sum((0, 1)), (variance * area**2).sum((0, 1))
+
+
+class ErrorLaw(NamedTuple):
+    """Variance of an intensity over rays per pixel N, [band]: noise / N + edge / N^1.5.
+
+    Lights sampled at every point are independent: variance as 1 / N. A silhouette crosses sqrt(N) of the N strata of a
+    pixel, each with an error of the order of its size 1 / N: variance as N^-1.5. A smooth field's falls faster and is
+    counted with the silhouettes.
+    """
+
+    noise: np.ndarray
+    edge: np.ndarray
+
+    def variance(self, samples: int) -> np.ndarray:
+        """[band]."""
+        return self.noise / samples + self.edge / samples**1.5
+
+    def samples(self, allowed: np.ndarray, most: int) -> int:
+        """The fewest rays per pixel, of well-shaped strata, with a variance of at most `allowed` [band]."""
+        for samples in well_shaped(most):
+            if (self.variance(samples) <= allowed).all():
+                break
+        return samples
+
+
+def error_law(few: tuple[int, Pilot], more: tuple[int, Pilot]) -> ErrorLaw:
+    """The law through two pilots, (rays per pixel, pilot) each; both parts are at least 0."""
+    (n, first), (m, second) = few, more
+    edge = (first.variance * n - second.variance * m) / (n**-0.5 - m**-0.5)
+    edge = np.clip(edge, 0, second.variance * m**1.5)
+    return ErrorLaw(np.maximum(second.variance * m - edge / m**0.5, 0), edge)
+
+
+def well_shaped(most: int) -> list[int]:
+    """Even rays per pixel up to `most` whose strata, two rays in each, are squares or nearly so."""
+    halves = [k * (k + more) for k in range(1, math.isqrt(most) + 1) for more in (0, 1)]
+    return [2 * half for half in halves if 2 * half <= most] or [2]

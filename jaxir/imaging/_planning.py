@@ -1,0 +1,337 @@
+"""Accuracy in, method out: what each term of a scene is computed by, and what that will cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from jaxir._arrays import enforce, float_dtype
+from jaxir.geometry import Camera, Sobol, pixel_strata
+from jaxir.imaging._chunks import Method, Pass, first_pass, method_of
+from jaxir.imaging._devices import is_traced
+from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
+from jaxir.optics.spectrum import Band, Nodes
+from jaxir.optics.surface import Lambert
+from jaxir.scene.plume import GridPlume
+from jaxir.scene.scene import Scene
+from jaxir.transport.path_estimator import (
+    AbstractPathEstimator,
+    CellSum,
+    CombinedIntegration,
+    LineIntegration,
+    PointIntegration,
+)
+from jaxir.transport.radiometry import Radiometry, cell_lights
+from jaxir.transport.reflection import (
+    BrdfSampling,
+    ClosedForm,
+    LightSampling,
+    MultipleImportance,
+    Reflection,
+)
+from jaxir.transport.scattering import Scattering
+
+FEW = 2  # rays per pixel of the first pilots
+MORE = (12, 128)  # at least and at most, of the second
+LEAST_GROWTH = 0.25  # share of a pilot's time that its rays take at least: clocks are coarse, other work disturbs
+LEAST = 8  # units of the last place: a relative tolerance below is beyond the precision in force
+MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
+
+
+class Term(NamedTuple):
+    """One part of the transport.
+
+    Attributes:
+        name: what it is.
+        exact: whether nothing in it is sampled.
+        sentence: how it is computed, and why so.
+    """
+
+    name: str
+    exact: bool
+    sentence: str
+
+
+class Plan(NamedTuple):
+    """How an image will be computed.
+
+    Attributes:
+        terms: of the transport, in the order in which light meets them on its way back from the eye.
+        method: what `render` is to take as `reflection`, `scattering` and `path`.
+        samples: rays per pixel, in one pass.
+        seconds: predicted, of the rays on the device in force; compiling and the call, some milliseconds, come on top.
+        compile_seconds: what compiling the chosen method's pilot took.
+        rtol: asked.
+        expected: predicted standard error over intensity, of the worst band.
+    """
+
+    terms: tuple[Term, ...]
+    method: Method
+    samples: int
+    seconds: float
+    compile_seconds: float
+    rtol: float
+    expected: float
+
+    def __str__(self) -> str:
+        """One sentence per term."""
+        return "\n".join(f"{term.name}: {term.sentence}." for term in self.terms)
+
+
+def require_rtol(rtol: float) -> None:
+    """Raise `ValueError` unless the tolerance is positive and the precision in force can hold it."""
+    if not rtol > 0:
+        raise ValueError(f"rtol: got {rtol}, expected > 0")
+    dtype = float_dtype()
+    least = LEAST * float(jnp.finfo(dtype).eps)
+    if rtol < least:
+        double = LEAST * float(np.finfo(np.float64).eps)
+        need = "float64: jax.config.update('jax_enable_x64', True)" if rtol >= double else "more than float64"
+        raise ValueError(f"rtol: got {rtol}, expected at least {least:.2g} in {dtype}; {rtol} needs {need}")
+
+
+def plan(
+    scene: Scene,
+    camera: Camera,
+    bands: Nodes | Band | Sequence[Band],
+    rtol: float,
+    *,
+    key: Key[Array, ""] | None = None,
+    reflection: Reflection | None = None,
+    scattering: Scattering | None = None,
+    max_samples: int = 4096,
+    path: AbstractPathEstimator | None = None,
+) -> Plan:
+    """How to meet a tolerance on the intensity of every band, and at what cost, before an image is computed.
+
+    What has no variance is chosen without trial: the exact sum over cells, delta sources. For reflected light, by a
+    closed form where its conditions hold or sampled, every candidate computes a few chunks of the image; variance as
+    it falls with the rays (`ErrorLaw`), and time, as it grows with them, decide.
+
+    Args:
+        scene: the scene.
+        camera: the eye.
+        bands: bands or nodes.
+        rtol: standard error of the radiant intensity of every band over the intensity.
+        key: random key of the pilots.
+        reflection: kept if given; else chosen, where the scene has sources with an extent.
+        scattering: how often paths are scattered by particles; `Scattering()` where there are any.
+        max_samples: rays per pixel that must suffice.
+        path: kept if given.
+
+    Returns:
+        The plan; `print` it.
+
+    Raises:
+        ValueError: as `jaxir.render`; rtol <= 0 or beyond the precision in force, with the precision it needs.
+    """
+    require_rtol(rtol)
+    if is_traced((scene, camera, key, reflection, scattering, path)):
+        raise ValueError("plan: got values known only inside jit, expected a call outside it")
+    key = jax.random.key(0) if key is None else key
+    given = method_of(scene, reflection, scattering, CellSum() if path is None else path)
+    return plan_pass(first_pass(scene, camera, bands, key, FEW, given), rtol, max_samples, reflection is not None)
+
+
+def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> Plan:
+    """`plan` for a pass of `FEW` rays per pixel that was checked; `asked`: its reflection is not to be chosen."""
+    scene, given = first.optical.scene, first.method
+    methods = [given] if asked else _candidates(scene, given)
+    trials = [_Trial(method, pilot(first._replace(method=method))) for method in methods]
+    chosen = _cheapest(trials, first, rtol, most)
+    terms = (
+        *_along_the_ray(first.optical, first.camera, chosen.trial.method),
+        *_by_particles(scene, chosen.trial.method),
+        *_at_the_skin(scene, trials, chosen, asked),
+        *_beyond(scene),
+        _pixels(chosen, rtol, most),
+    )
+    trial = chosen.trial
+    return Plan(terms, trial.method, chosen.samples, chosen.seconds, trial.pilot.compile_seconds, rtol, chosen.expected)
+
+
+class _Trial(NamedTuple):
+    method: Method
+    pilot: Pilot
+
+
+class _Choice(NamedTuple):
+    trial: _Trial
+    law: ErrorLaw
+    samples: int
+    seconds: float
+    expected: float
+
+
+def _candidates(scene: Scene, given: Method) -> list[Method]:
+    """Ways to find reflected light; where one without variance applies, it and the cheapest draw."""
+    if scene.skin is None or not scene.area_sources:  # nothing to be sampled
+        return [given]
+    closed = Method(Reflection(ClosedForm()), given.scattering, given.path)
+    try:
+        enforce(scene.skin.temperature, closed.checks(scene))
+        return [closed, Method(Reflection(LightSampling(1)), given.scattering, given.path)]
+    except ValueError:
+        pass
+    ways = [
+        Reflection(LightSampling(1)),
+        Reflection(MultipleImportance(1, 1)),
+        Reflection(LightSampling(16), sampler=Sobol()),
+        Reflection(MultipleImportance(8, 8), sampler=Sobol()),
+    ]
+    if not isinstance(scene.skin.brdf, Lambert):
+        ways.append(Reflection(BrdfSampling(1)))
+    return [Method(way, given.scattering, given.path) for way in ways]
+
+
+def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Choice:
+    """First as if all variance were that of lights; then with the silhouettes' share, from a second pilot."""
+    some = [ErrorLaw(trial.pilot.variance * FEW, np.zeros_like(trial.pilot.variance)) for trial in trials]
+    choices = [_choice(trial, law, 1 / FEW, rtol, most) for trial, law in zip(trials, some, strict=True)]
+    best = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
+    chosen = choices[best]
+    if chosen.samples == FEW:
+        return chosen
+    count = well_shaped(min(max(chosen.samples // 4, MORE[0]), MORE[1]))[-1]
+    more = pilot(first._replace(method=trials[best].method, strata=pixel_strata(count)))
+    edge = error_law((FEW, trials[best].pilot), (count, more)).edge
+    little = trials[best].pilot.seconds
+    each = (more.seconds - little) / (count - FEW)
+    alike = little - FEW * each  # what an image costs, however light is found
+    choices = []
+    for trial in trials:
+        samples, seen = (count, more) if trial is trials[best] else (FEW, trial.pilot)
+        noise = np.maximum(seen.variance * samples - edge / samples**0.5, 0)
+        growth = max(1 - alike / trial.pilot.seconds, LEAST_GROWTH) / FEW
+        choices.append(_choice(trial, ErrorLaw(noise, edge), growth, rtol, most))
+    cheapest = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
+    if cheapest != best:
+        return choices[cheapest]
+    growth = max(each / little, LEAST_GROWTH / (count - FEW))  # was timed with more rays
+    return _choice(trials[best], choices[best].law, growth, rtol, most)
+
+
+def _cost(choice: _Choice, rtol: float) -> tuple[bool, float]:
+    """Methods that meet the tolerance first, then by time."""
+    return choice.expected > rtol, choice.seconds
+
+
+def _choice(trial: _Trial, law: ErrorLaw, growth: float, rtol: float, most: int) -> _Choice:
+    """Rays per pixel and time that a method needs; `growth` of the time with each ray more, in that of a pilot."""
+    intensity = np.abs(trial.pilot.intensity)
+    samples = law.samples((MARGIN * rtol * intensity) ** 2, most)
+    error = np.sqrt(law.variance(samples))
+    expected = float(np.max(np.divide(error, intensity, out=np.full_like(error, np.inf), where=intensity > 0)))
+    seconds = trial.pilot.seconds * (1 + growth * (samples - FEW))
+    return _Choice(trial, law, samples, seconds, expected if error.any() else 0.0)
+
+
+def _along_the_ray(optical: Radiometry, camera: Camera, method: Method) -> list[Term]:
+    scene = optical.scene
+    if scene.plume is None:
+        return []
+    if not isinstance(scene.plume, GridPlume):
+        sentence = (
+            f"integrated along every ray by {scene.plume.panels} panels of a fourth-order quadrature, no sampling"
+        )
+        return [Term("Jet", True, sentence)]
+    depth = _depth(optical, camera)
+    ways = {"point": PointIntegration(), "line": LineIntegration(), "combined": CombinedIntegration()}
+    spread = {name: float(way.relative_variance(jnp.maximum(depth, 1e-6))) for name, way in ways.items()}
+    least = min(spread, key=lambda name: spread[name])
+    if not isinstance(method.path, CellSum):
+        sentence = f"{type(method.path).__name__}, as asked, samples every ray although the sum over cells is exact"
+        return [Term("Plume", False, sentence)]
+    sentence = (
+        f"the exact sum over the cells of every ray, without variance, where the best sampled estimator, {least}, "
+        f"would have a relative variance of {spread[least]:.2g} a ray at the largest optical depth, {float(depth):.2g}"
+    )
+    return [Term("Plume", True, sentence)]
+
+
+def _by_particles(scene: Scene, method: Method) -> list[Term]:
+    if method.scattering is None:
+        return []
+    once = "parallel light scattered once is summed over the cells, " if cell_lights(scene) else ""
+    orders = method.scattering.orders
+    if orders == 0:
+        return [Term("Particles", True, f"{once}light scattered more often is left out, as asked")]
+    sentence = f"{once}the rest sampled by forced collision up to {orders} times; `Image.missing` tells the rest"
+    return [Term("Particles", False, sentence)]
+
+
+def _depth(optical: Radiometry, camera: Camera) -> Array:
+    """The largest optical depth on a raster of 16 x 16 rays across the image."""
+    assert optical.medium is not None
+    place = (np.arange(16) + 0.5) / 16 - 0.5
+    size = np.asarray(camera.pixel) * np.array(camera.shape[::-1])
+    x, y = np.meshgrid(place * size[0], place * size[1])
+    screen = jnp.asarray(np.stack([x.ravel(), y.ravel()], axis=1), camera.pixel.dtype)
+    rays = camera.bundle(screen, optical.scene.start(camera)).rays()
+    passed = optical.medium.transmittance(rays, jnp.full(rays.count, jnp.inf, screen.dtype))
+    return -jnp.log(jnp.maximum(jnp.min(passed), jnp.finfo(passed.dtype).tiny))
+
+
+def _at_the_skin(scene: Scene, trials: list[_Trial], chosen: _Choice, asked: bool) -> list[Term]:
+    if scene.skin is None:
+        return []
+    terms = [
+        Term("Emission", True, f"Planck's and Kirchhoff's laws at every point met of {scene.skin.mesh.count} faces")
+    ]
+    if scene.delta_sources:
+        sentence = f"{len(scene.delta_sources)} without extent, each evaluated with its shadow at every point met"
+        terms.append(Term("Sources", True, sentence))
+    reflection = chosen.trial.method.reflection
+    if reflection is None:
+        return terms
+    name = _name(reflection)
+    exact = isinstance(reflection.direct, ClosedForm) and reflection.bounces == 0
+    if asked:
+        sentence = f"by {name}, as asked"
+    elif exact:
+        sentence = f"by {name}, whose conditions hold: no samples and no variance of its own"
+    else:
+        others = [t for t in trials if t is not chosen.trial]
+        sentence = f"sampled by {name}, the cheapest of {len(trials)} in pilots: " + ", ".join(
+            f"{_efficiency(chosen.trial, other):.2g} times the time of {_name(other.method.reflection)}"
+            for other in others
+        )
+    return [*terms, Term("Reflected light", exact, sentence)]
+
+
+def _name(reflection: Reflection | None) -> str:
+    assert reflection is not None
+    counts = ", ".join(str(count) for count in reflection.direct.counts() if count)
+    bounces = f" and {reflection.bounces} bounces" if reflection.bounces else ""
+    return f"{type(reflection.direct).__name__}({counts}) with {type(reflection.sampler).__name__} points{bounces}"
+
+
+def _efficiency(one: _Trial, other: _Trial) -> float:
+    """Time of one to equal variance, in that of the other; of the worst band, by their pilots."""
+    ratio = one.pilot.variance / np.maximum(other.pilot.variance, np.finfo(float).tiny)
+    return float(np.max(ratio)) * one.pilot.seconds / other.pilot.seconds
+
+
+def _beyond(scene: Scene) -> list[Term]:
+    terms = []
+    if scene.background is not None:
+        terms.append(Term("Background", True, "its radiance in the direction of every ray that meets no skin"))
+    if scene.atmosphere is not None:
+        terms.append(Term("Air", True, "one transmittance and one path radiance of each node for the whole image"))
+    return terms
+
+
+def _pixels(chosen: _Choice, rtol: float, most: int) -> Term:
+    short = chosen.expected > rtol
+    reached = f"which is all that is allowed and reaches {chosen.expected:.2g}" if short else "which reaches"
+    goal = f"instead of {rtol:.2g}" if short else f"{chosen.expected:.2g} of the {rtol:.2g} asked"
+    sentence = (
+        f"{chosen.samples} rays each, two in each of {chosen.samples // 2} strata, {reached} {goal} in about "
+        f"{chosen.seconds:.2g} s, for which {float_dtype()} suffices"
+    )
+    return Term("Pixels", False, sentence)

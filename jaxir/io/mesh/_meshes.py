@@ -1,0 +1,138 @@
+"""Meshes from files: OBJ, and through trimesh whatever it reads."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from jaxir.geometry.search import Mesh
+from jaxir.io.mesh._obj import read_obj
+
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048}
+
+
+class Body(NamedTuple):
+    """A mesh with its parts, as a file holds them.
+
+    Attributes:
+        mesh: all triangles, in the file's order (of objects, and of faces inside each).
+        part: index of each face's part [face].
+        part_names: names of the parts.
+    """
+
+    mesh: Mesh
+    part: np.ndarray
+    part_names: tuple[str, ...]
+
+
+def load_mesh(path: str | os.PathLike, *, unit: str) -> Body:
+    """Read STL, OBJ, PLY, GLB or whatever else trimesh reads.
+
+    Nothing is merged, reordered or repaired, so that per-face arrays made for the file keep fitting. Faces of zero
+    area are kept (they are never hit) and named in a warning.
+
+    Args:
+        path: the file.
+        unit: length unit of its coordinates: m, cm, mm, km, in or ft. There is no default: files do not say.
+
+    Returns:
+        The mesh in metres with its parts: objects of the file, in OBJ its objects and groups (`read_obj`), one part
+        for formats without objects (see `split_bodies`).
+
+    Raises:
+        ValueError: unknown unit, no such file, unreadable file, no triangles, coordinates that are not finite; the
+            message names the file.
+    """
+    file = Path(path)
+    if unit not in METRES:
+        raise ValueError(f"unit: got {unit!r}, expected one of {', '.join(METRES)}")
+    if not file.is_file():
+        raise ValueError(f"{file}: no such file")
+    vertices, all_faces, part, names = _read(file)
+    if len(all_faces) == 0:
+        raise ValueError(f"{file}: holds no triangles")
+    all_vertices = vertices * METRES[unit]
+    bad = np.flatnonzero(~np.isfinite(all_vertices).all(axis=1))
+    if bad.size:
+        raise ValueError(f"{file}: vertex {bad[0]} is {all_vertices[bad[0]]}, expected finite coordinates")
+    flat = zero_area_faces(all_vertices, all_faces)
+    if flat.size == len(all_faces):
+        raise ValueError(f"{file}: all {flat.size} faces have zero area")
+    if flat.size:
+        shown = ", ".join(str(f) for f in flat[:10]) + (", ..." if flat.size > 10 else "")
+        warnings.warn(f"{file}: {flat.size} faces have zero area and are never hit: {shown}", stacklevel=2)
+    return Body(Mesh(all_vertices, all_faces), part, names)
+
+
+def split_bodies(body: Body) -> Body:
+    """The same mesh with one part for each body: faces that hang together by shared or coincident vertices.
+
+    For files that do not name their parts, as STL. Bodies are called `body_0`, `body_1`, ... in the order of their
+    first faces.
+    """
+    vertices, faces = np.asarray(body.mesh.vertices), np.asarray(body.mesh.faces)
+    same = np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1)[faces]
+    start, stop = same.ravel(), np.roll(same, 1, axis=1).ravel()
+    count = int(same.max()) + 1
+    of_vertex = connected_components(coo_array((np.ones(start.size), (start, stop)), shape=(count, count)))[1]
+    first, part = np.unique(of_vertex[same[:, 0]], return_index=True, return_inverse=True)[1:]
+    rank = np.argsort(np.argsort(first))
+    return Body(body.mesh, rank[part.reshape(-1)].astype(np.int32), tuple(f"body_{i}" for i in range(first.size)))
+
+
+def _read(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Vertices, faces, part of each face and names of the parts, in the file's unit."""
+    if file.suffix.lower() == ".obj":
+        return read_obj(file)
+    if file.suffix.lower() == ".stl":
+        _require_whole_stl(file)
+    try:
+        loaded = trimesh.load_scene(str(file), process=False)
+    except Exception as error:  # trimesh's readers raise whatever their parsers do
+        raise ValueError(f"{file}: not readable as a mesh ({type(error).__name__}: {error})") from error
+    vertices, faces, part = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
+    names: list[str] = []
+    offset = 0
+    for node in loaded.graph.nodes_geometry:
+        transform, name = loaded.graph[node]
+        geometry = loaded.geometry[name]
+        if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
+            continue
+        points = np.asarray(geometry.vertices, np.float64)
+        vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
+        faces.append(np.asarray(geometry.faces, np.int64) + offset)
+        part.append(np.full(len(geometry.faces), len(names), np.int32))
+        names.append(str(name))
+        offset += len(points)
+    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(part), tuple(names)
+
+
+def _require_whole_stl(file: Path) -> None:
+    """Raise `ValueError` for an STL file that is cut, which its readers take for one without triangles."""
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        head = stream.read(84)
+        stream.seek(-min(size, 1024), os.SEEK_END)
+        tail = stream.read()
+    whole = 84 + 50 * int.from_bytes(head[80:84], "little")
+    if len(head) == 84 and size >= whole:
+        return
+    if not head.lstrip().lower().startswith(b"solid"):
+        raise ValueError(f"{file}: got {size} bytes, expected {whole} as its header says: the file is cut")
+    if b"endsolid" not in tail.lower():
+        raise ValueError(f"{file}: got no endsolid at its end, expected one: the file is cut")
+
+
+def zero_area_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Indices of faces whose area is below double rounding of their longest edge squared."""
+    p = vertices[faces]
+    edge = p[:, [1, 2, 0]] - p
+    area = np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
+    return np.flatnonzero(area <= 1e-14 * (edge**2).sum(axis=2).max(axis=1))

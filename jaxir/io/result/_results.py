@@ -1,0 +1,178 @@
+"""Images and signature tables out: NPZ, float32 TIFF, NetCDF, CSV. Every file is written whole or not at all.
+
+`conditions` say of what and how a result was computed: pairs of a name and a text or number that go into the file.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxir.imaging import Image, Signature
+from jaxir.io._files import written_whole
+
+Conditions = Mapping[str, str | int | float]
+RADIANCE = "W m-2 sr-1"
+INTENSITY = "W sr-1"
+
+
+def save_image(path: str | os.PathLike, image: Image, conditions: Conditions | None = None) -> None:
+    """Write an image as NPZ.
+
+    The arrays: radiance and standard_error [row, column, band] in W m-2 sr-1, empty [row or 1, column or 1, band],
+    bands, pixel [2] in m, inverse_range in m-1, frame [3, 3] and target [3] of the camera, unit, and the conditions
+    as JSON.
+
+    Args:
+        path: the file, ending in .npz.
+        image: what to write.
+        conditions: see this module's head.
+
+    Raises:
+        ValueError: another ending, or a folder that does not exist.
+    """
+    require_suffix(path, ".npz")
+    with written_whole(path) as part, part.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            radiance=np.asarray(image.radiance),
+            standard_error=np.asarray(image.standard_error),
+            empty=np.asarray(image.empty),
+            bands=np.array(image.bands),
+            pixel=np.asarray(image.camera.pixel),
+            inverse_range=np.asarray(image.camera.inverse_range),
+            frame=np.asarray(image.camera.frame),
+            target=np.asarray(image.camera.target),
+            unit=RADIANCE,
+            conditions=json.dumps(dict(conditions or {})),
+        )
+
+
+def save_tiff(path: str | os.PathLike, image: Image, conditions: Conditions | None = None) -> None:
+    """Write an image's radiance as a float32 TIFF with one page per band, labelled with band, unit and conditions.
+
+    Args:
+        path: the file, ending in .tif or .tiff.
+        image: what to write.
+        conditions: see this module's head.
+
+    Raises:
+        ValueError: another ending, or a folder that does not exist.
+        ImportError: tifffile is not installed.
+    """
+    try:
+        import tifffile
+    except ImportError as error:
+        raise ImportError('writing TIFF needs tifffile: pip install "jaxir[image]"') from error
+    require_suffix(path, ".tif", ".tiff")
+    radiance = np.asarray(image.radiance, np.float32)
+    said = "".join(f"; {name}: {value}" for name, value in (conditions or {}).items())
+    with written_whole(path) as part, tifffile.TiffWriter(part) as writer:
+        for index, band in enumerate(image.bands):
+            described = f"{band} radiance, {RADIANCE}{said}".encode("ascii", "replace").decode()
+            writer.write(radiance[:, :, index], photometric="minisblack", description=described, metadata=None)
+
+
+def save_netcdf(path: str | os.PathLike, result: Image | Signature, conditions: Conditions | None = None) -> None:
+    """Write an image or a signature as NetCDF (version 3), through xarray.
+
+    An image holds radiance and standard_error [row, column, band] and empty, with the place of the pixels' centres in
+    the plane through the target [m]; a signature holds intensity and standard_error [view, band] with azimuth and
+    elevation [view] in degrees. Every variable has its `units`; the conditions are attributes of the file.
+
+    Args:
+        path: the file, ending in .nc.
+        result: what to write.
+        conditions: see this module's head.
+
+    Raises:
+        ValueError: another ending, or a folder that does not exist.
+        ImportError: xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise ImportError('writing NetCDF needs xarray: pip install "jaxir[netcdf]"') from error
+    require_suffix(path, ".nc")
+    data = xarray.Dataset(*(_image_data(result) if isinstance(result, Image) else _signature_data(result)))
+    data.attrs.update(conditions or {})
+    with written_whole(path) as part:
+        data.to_netcdf(part, engine="scipy")
+
+
+def _image_data(image: Image) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Variables, coordinates and attributes."""
+    camera, (rows, columns) = image.camera, image.camera.shape
+    width, height = (float(size) for size in camera.pixel)
+    axes = ("row", "column", "band")
+    empty = np.broadcast_to(np.asarray(image.empty), image.radiance.shape)
+    variables = {
+        name: (axes, np.asarray(value), {"units": RADIANCE, "long_name": said})
+        for name, value, said in (
+            ("radiance", image.radiance, "mean radiance over each pixel"),
+            ("standard_error", image.standard_error, "standard error of radiance"),
+            ("empty", empty, "radiance without the scene"),
+        )
+    }
+    coordinates = {
+        "band": ("band", list(image.bands)),
+        "x": ("column", (np.arange(columns) + 0.5 - columns / 2) * width, {"units": "m"}),
+        "y": ("row", (rows / 2 - np.arange(rows) - 0.5) * height, {"units": "m"}),
+    }
+    attributes = {
+        "inverse_range_per_m": float(camera.inverse_range),
+        "target_m": np.asarray(camera.target),
+        "frame": np.asarray(camera.frame).ravel(),
+    }
+    return variables, coordinates, attributes
+
+
+def _signature_data(table: Signature) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    variables = {
+        "intensity": (("view", "band"), np.asarray(table.intensity), {"units": INTENSITY}),
+        "standard_error": (("view", "band"), np.asarray(table.standard_error), {"units": INTENSITY}),
+    }
+    coordinates = {
+        "band": ("band", list(table.bands)),
+        "azimuth": ("view", np.asarray(table.azimuth), {"units": "degree"}),
+        "elevation": ("view", np.asarray(table.elevation), {"units": "degree"}),
+    }
+    return variables, coordinates, {}
+
+
+def save_signature(path: str | os.PathLike, signature: Signature, conditions: Conditions | None = None) -> None:
+    """Write a signature as CSV: azimuth_deg, elevation_deg, then intensity and standard error of every band in W/sr.
+
+    Conditions come first, as comments: lines `# name: value`.
+
+    Raises:
+        ValueError: another ending than .csv, or a folder that does not exist.
+    """
+    require_suffix(path, ".csv")
+    columns = [f"{band}_{what}" for band in signature.bands for what in ("W_per_sr", "standard_error_W_per_sr")]
+    values = np.stack([np.asarray(signature.intensity), np.asarray(signature.standard_error)], axis=-1)
+    with written_whole(path) as part, part.open("w", newline="", encoding="utf-8") as stream:
+        stream.writelines(f"# {name}: {_one_line(value)}\r\n" for name, value in (conditions or {}).items())
+        writer = csv.writer(stream)
+        writer.writerow(["azimuth_deg", "elevation_deg", *columns])
+        for azimuth, elevation, row in zip(signature.azimuth, signature.elevation, values, strict=True):
+            numbers = [float(azimuth), float(elevation), *row.ravel().tolist()]
+            writer.writerow([f"{number:.9g}" for number in numbers])
+
+
+def _one_line(value: Any) -> str:
+    return " ".join(str(value).split())
+
+
+def require_suffix(path: str | os.PathLike, *endings: str) -> None:
+    """Raise `ValueError` unless a file name ends as its format asks and its folder exists."""
+    if not str(path).endswith(endings):
+        raise ValueError(f"{path}: expected a file name that ends in {' or '.join(endings)}")
+    if not Path(path).parent.is_dir():
+        raise ValueError(f"{path}: the folder {Path(path).parent} does not exist")

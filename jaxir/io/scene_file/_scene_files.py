@@ -1,0 +1,259 @@
+"""Scenes from TOML: what the objects of `jaxir` say, with the same names.
+
+Every table describes one object: `type` names the class or function, the other keys are its parameters. The parts:
+
+    bands         ["MWIR", "LWIR"], with bands of one's own as tables; or a table whose type is `resolved_nodes`
+    [skin]        mesh (`load_mesh`), temperature, brdf, and [[skin.parts]] that differ
+    [plume]       GridPlume or JetPlume, with a gas
+    [[sources]]   lights
+    [background]  what lies behind
+    [atmosphere]  the air in front
+    [camera]      for `render`; [[camera]] with names for several
+    [reflection]  how light is found that is reflected by the skin
+    [scattering]  how often light is scattered by particles
+    [resolve_jet] tolerance to which a jet is integrated
+    [render]      parameters of `jaxir.render`
+    [signature]   parameters of `jaxir.signature`, its `views` among them
+
+Paths are relative to the folder of the file.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxir._arrays import enforce
+from jaxir.geometry import Camera
+from jaxir.imaging import render, signature
+from jaxir.io.field import load_flow
+from jaxir.io.scene_file._entries import (
+    Entry,
+    arguments,
+    build,
+    construct,
+    number,
+    numbers,
+    one_of,
+    positive_or_infinite,
+    read_toml,
+    text,
+)
+from jaxir.io.scene_file._skins import read_skin
+from jaxir.io.scene_file._vocabulary import (
+    ATMOSPHERES,
+    BACKGROUNDS,
+    CAMERAS,
+    PLUMES,
+    READERS,
+    RENDER_READERS,
+    SOURCES,
+    band_list,
+    k_nodes,
+)
+from jaxir.optics.spectrum import Nodes, gray_nodes, resolved_nodes
+from jaxir.scene.jet import JetPlume
+from jaxir.scene.plume import GridPlume
+from jaxir.scene.scene import Scene
+from jaxir.scene.skin import Skin
+from jaxir.transport.jet import resolve_jet
+from jaxir.transport.reflection import Reflection
+from jaxir.transport.scattering import Scattering
+
+
+class SceneFile(NamedTuple):
+    """What a scene file says.
+
+    Attributes:
+        file: the file.
+        scene: the scene.
+        bands: spectral nodes.
+        cameras: by name.
+        reflection: how reflected light is found; None for the default.
+        scattering: how often light is scattered by particles; None for the default.
+        render: other parameters of `jaxir.render`.
+        signature: other parameters of `jaxir.signature`, `views` among them.
+        notes: what reading computed fields did to them.
+    """
+
+    file: Path
+    scene: Scene
+    bands: Nodes
+    cameras: dict[str, Camera]
+    reflection: Reflection | None
+    scattering: Scattering | None
+    render: dict[str, Any]
+    signature: dict[str, Any]
+    notes: tuple[str, ...]
+
+    def describe(self) -> str:
+        """What the file says, a line for each part."""
+        scene = self.scene
+        lines = [] if scene.skin is None else _describe_skin(scene.skin)
+        if scene.plume is not None:
+            hot = scene.plume.exit_temperature if isinstance(scene.plume, JetPlume) else scene.plume.temperature
+            kind, gas = type(scene.plume).__name__, type(scene.plume.gas).__name__
+            with_ = "" if scene.plume.particles is None else f" with {type(scene.plume.particles).__name__}"
+            lines.append(f"plume: {kind} of {gas}{with_}, up to {float(np.max(np.asarray(hot))):.4g} K")
+        lines += [f"source: {type(source).__name__}" for source in scene.sources]
+        for name, part in (("background", scene.background), ("atmosphere", scene.atmosphere)):
+            lines.append(f"{name}: {'none' if part is None else type(part).__name__}")
+        lines.append(f"bands: {', '.join(self.bands.names)} on {self.bands.count} nodes")
+        for name, camera in self.cameras.items():
+            rows, columns = camera.shape
+            width, height = (float(size) for size in camera.pixel)
+            pixels = f"{rows} x {columns} pixels of {height:.4g} x {width:.4g} m at the target"
+            lines.append(f"camera{f' {name}' if name else ''}: {pixels}")
+        if "views" in self.signature:
+            lines.append(f"signature: {len(self.signature['views'])} views")
+        return "\n".join(lines)
+
+
+def _describe_skin(skin: Skin) -> list[str]:
+    mesh, part, temperature = skin.mesh, np.asarray(skin.part), np.asarray(skin.temperature)
+    size = " x ".join(f"{s:.4g}" for s in np.ptp(np.asarray(mesh.vertices, np.float64), axis=0))
+    closed = "closed" if mesh.closed else "not closed or not outward"
+    lines = [f"skin: {mesh.count} faces, {size} m, {closed}"]
+    for index, name in enumerate(skin.part_names):
+        own = temperature[part == index]
+        if own.size:
+            lines.append(f"  part {name}: {own.size} faces, {own.min():.4g} to {own.max():.4g} K")
+    return lines
+
+
+ELSEWHERE = ("scene", "camera", "bands", "reflection", "scattering")  # parameters with a section of their own
+SECTIONS = (
+    "bands",
+    "skin",
+    "plume",
+    "sources",
+    "background",
+    "atmosphere",
+    "camera",
+    "reflection",
+    "scattering",
+    "resolve_jet",
+    "render",
+    "signature",
+)
+
+
+def load_scene(path: str | os.PathLike) -> SceneFile:
+    """Read a scene file.
+
+    Args:
+        path: a TOML file; this module's head lists its parts.
+
+    Returns:
+        The scene with what to compute of it. All values are checked, those of the files it names included.
+
+    Raises:
+        ValueError: a file that is missing, cut or not readable, a key that is unknown or missing, a value of another
+            type or out of range; one line that names file, key, what was got and what was expected.
+    """
+    whole = read_toml(Path(path))
+    parts = whole.only(SECTIONS, ["bands"])
+    bands = _bands(parts["bands"])
+    plume, notes = _plume(parts["plume"]) if "plume" in parts else (None, ())
+    if "resolve_jet" in parts:
+        if not isinstance(plume, JetPlume):
+            raise parts["resolve_jet"].wrong("it only beside a plume of type JetPlume")
+        plume = construct(parts["resolve_jet"], resolve_jet, READERS, jet=plume, bands=bands)
+    sources = parts["sources"].items() if "sources" in parts else []
+    try:
+        scene = Scene(
+            skin=read_skin(parts["skin"], READERS) if "skin" in parts else None,
+            plume=plume,
+            sources=tuple(build(entry, SOURCES, READERS) for entry in sources),
+            background=build(parts["background"], BACKGROUNDS, READERS) if "background" in parts else None,
+            atmosphere=build(parts["atmosphere"], ATMOSPHERES, READERS) if "atmosphere" in parts else None,
+        )
+    except ValueError as error:
+        raise whole.failed(error) from error
+    reflection = _reflection(parts["reflection"], scene) if "reflection" in parts else None
+    return SceneFile(
+        file=whole.file,
+        scene=scene,
+        bands=bands,
+        cameras=_cameras(parts["camera"]) if "camera" in parts else {},
+        reflection=reflection,
+        scattering=construct(parts["scattering"], Scattering, READERS) if "scattering" in parts else None,
+        render=arguments(parts["render"], render, RENDER_READERS, ELSEWHERE) if "render" in parts else {},
+        signature=_signature(parts["signature"]) if "signature" in parts else {},
+        notes=notes,
+    )
+
+
+def _bands(entry: Entry) -> Nodes:
+    if isinstance(entry.value, list):
+        return gray_nodes(band_list(entry))
+    return build(entry, {"resolved_nodes": resolved_nodes, "gray_nodes": gray_nodes, "k_nodes": k_nodes}, READERS)
+
+
+def _plume(entry: Entry) -> tuple[GridPlume | JetPlume, tuple[str, ...]]:
+    children = entry.children()
+    if "flow" not in children:
+        return build(entry, PLUMES, READERS), ()
+    one_of(["GridPlume"])(children.get("type", entry))
+    flow = construct(children["flow"], load_flow, READERS)
+    rest = {name: value for name, value in entry.value.items() if name != "flow"}
+    gridded = entry._replace(value=rest, fields=flow.fields)
+    notes = tuple(f"{children['flow'].key}: {line}" for line in flow.describe().splitlines())
+    return construct(gridded, GridPlume, READERS, grid=flow.grid), notes
+
+
+def _reflection(entry: Entry, scene: Scene) -> Reflection:
+    given = arguments(entry, Reflection, READERS)
+    try:
+        reflection = Reflection(**given)
+        return enforce((reflection, scene), reflection.checks(scene))[0]
+    except ValueError as error:
+        raise entry.failed(error) from error
+
+
+def _cameras(entry: Entry) -> dict[str, Camera]:
+    if isinstance(entry.value, dict):
+        return {"": build(entry, CAMERAS, READERS)}
+    cameras = {}
+    for item in entry.items():
+        children = item.children()
+        if "name" not in children:
+            raise ValueError(f"{item.file}: {item.key}: got no key name, which each of several cameras needs")
+        name = text(children["name"])
+        if name in cameras or not name.replace("_", "").replace("-", "").isalnum():
+            raise children["name"].wrong("a new name of letters, digits, - and _")
+        cameras[name] = build(
+            item._replace(value={k: v for k, v in item.value.items() if k != "name"}), CAMERAS, READERS
+        )
+    return cameras
+
+
+def _signature(entry: Entry) -> dict[str, Any]:
+    readers = {**RENDER_READERS, "views": _views, "distance": positive_or_infinite}
+    return arguments(entry, signature, readers, ELSEWHERE)
+
+
+def _views(entry: Entry) -> np.ndarray:
+    """Aspects [view, 2]: pairs, or all combinations of azimuths and elevations."""
+    if isinstance(entry.value, dict):
+        keys = entry.only(["azimuth", "elevation"], ["azimuth", "elevation"])
+        azimuth, elevation = (_steps(keys[name]) for name in ("azimuth", "elevation"))
+        return np.stack(np.meshgrid(azimuth, elevation, indexing="ij"), axis=-1).reshape(-1, 2)
+    value = np.asarray(numbers(entry))
+    if value.ndim != 2 or value.shape[1] != 2:
+        raise entry.wrong("pairs of azimuth and elevation, or a table of both")
+    return value
+
+
+def _steps(entry: Entry) -> np.ndarray:
+    """Angles: a list, or `{ start, stop, step }`, the stop included where a step meets it."""
+    if not isinstance(entry.value, dict):
+        return np.atleast_1d(np.asarray(numbers(entry)))
+    keys = entry.only(["start", "stop", "step"], ["start", "stop", "step"])
+    start, stop, step = (number(keys[name]) for name in ("start", "stop", "step"))
+    if not step > 0 or stop < start or (stop - start) / step > 1e5:
+        raise entry.wrong("start <= stop and step > 0, at most 100000 steps")
+    return start + step * np.arange(int(np.floor((stop - start) / step + 1e-6)) + 1)

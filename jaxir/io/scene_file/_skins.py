@@ -1,0 +1,167 @@
+"""The skin of a scene file: a mesh, what its faces are made of and how hot they are, part by part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxir.geometry.search import Mesh
+from jaxir.io.field import load_face_values, load_surface_field
+from jaxir.io.mesh import Body, load_mesh, split_bodies
+from jaxir.io.scene_file._entries import (
+    Entry,
+    Reader,
+    build,
+    construct,
+    existing_file,
+    integer,
+    number,
+    numbers,
+    one_of,
+    text,
+)
+from jaxir.optics.surface import AbstractBrdf, BrdfPerFace, BrdfTable
+from jaxir.scene.skin import Skin
+
+
+def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
+    """The table `skin`.
+
+    `temperature` and `brdf` hold for all faces, and `[[skin.parts]]`, in order, replace them: for the part that the
+    mesh file calls by the given `name`, or, with `faces`, for a new part of that name.
+
+    Args:
+        entry: the table.
+        readers: of parameters by name, that of `brdf` among them.
+
+    Returns:
+        The skin.
+
+    Raises:
+        ValueError: a key or value that does not fit, a part that the mesh has not, faces without a temperature or
+            brdf; names file and key.
+    """
+    keys = entry.only(["mesh", "temperature", "brdf", "parts"], ["mesh"])
+    body = _body(keys["mesh"], readers)
+    everywhere = Entry(entry.file, entry.key, {k: v for k, v in entry.value.items() if k in ("temperature", "brdf")})
+    temperature = np.full(body.mesh.count, np.nan)
+    kind = np.full(body.mesh.count, -1)
+    brdfs: list[AbstractBrdf] = []
+    part, names = body.part.copy(), list(body.part_names)
+    changes = keys["parts"].items() if "parts" in keys else []
+    for change in [everywhere, *changes]:
+        faces = np.arange(body.mesh.count) if change is everywhere else _faces(change, part, names)
+        given = change.children()
+        if "temperature" in given:
+            temperature[faces] = face_temperature(given["temperature"], body.mesh, faces)
+        if "brdf" in given:
+            brdf = readers["brdf"](given["brdf"])
+            if brdf.shape()[0] not in (1, faces.size if change is everywhere else 1):
+                raise given["brdf"].wrong(f"parameters of one face{' or all' if change is everywhere else ''}")
+            kind[faces] = len(brdfs)
+            brdfs.append(brdf)
+    for what, missing in (("temperature", np.isnan(temperature)), ("brdf", kind < 0)):
+        if missing.any():
+            face = int(np.argmax(missing))
+            raise ValueError(f"{entry.file}: {entry.key}: got no {what} for face {face}, of part {names[part[face]]!r}")
+    try:
+        return Skin(body.mesh, temperature, _joined(brdfs, kind), part, names)
+    except ValueError as error:
+        raise entry.failed(error) from error
+
+
+def _body(entry: Entry, readers: Mapping[str, Reader]) -> Body:
+    def bodies(path: Path, *, unit: str) -> Body:
+        return split_bodies(load_mesh(path, unit=unit))
+
+    def inline(vertices: Any, faces: Any) -> Body:
+        mesh = Mesh(vertices, np.asarray(faces, np.int64))
+        return Body(mesh, np.zeros(mesh.count, np.int32), ("skin",))
+
+    kinds: dict[str, Callable] = {"load_mesh": load_mesh, "split_bodies": bodies, "Mesh": inline}
+    return build(entry, kinds, readers, default="load_mesh")
+
+
+def _faces(change: Entry, part: np.ndarray, names: list[str]) -> np.ndarray:
+    """The faces that an entry of `parts` is about; those of a new part are given to it."""
+    keys = change.only(["name", "faces", "temperature", "brdf"], ["name"])
+    name = text(keys["name"])
+    if "faces" not in keys:
+        if name not in names:
+            one_of(names)(keys["name"])
+        return np.flatnonzero(part == names.index(name))
+    if name in names:
+        raise keys["name"].wrong(f"a new name for the faces; {', '.join(names)} are taken")
+    faces = _face_list(keys["faces"], part.size)
+    part[faces] = len(names)
+    names.append(name)
+    return faces
+
+
+def _face_list(entry: Entry, count: int) -> np.ndarray:
+    """Indices of faces: a list, or `{ start, stop }` with stop one past the last."""
+    if isinstance(entry.value, dict) and "path" not in entry.value:
+        ends = entry.only(["start", "stop"], ["start", "stop"])
+        faces = np.arange(integer(ends["start"]), min(integer(ends["stop"]), count + 1))
+    else:
+        faces = np.atleast_1d(np.asarray(numbers(entry)))
+    if (
+        faces.ndim != 1
+        or faces.size == 0
+        or (faces != np.floor(faces)).any()
+        or (faces < 0).any()
+        or faces.max() >= count
+    ):
+        raise entry.wrong(f"faces 0 to {count - 1}, at least one")
+    return faces.astype(np.int64)
+
+
+def face_temperature(entry: Entry, mesh: Mesh, faces: np.ndarray) -> np.ndarray:
+    """Temperatures of some faces [face]: a number, a list, a file with a value per face, or a computed surface."""
+    if isinstance(entry.value, dict) and "path" in entry.value:
+        if existing_file(entry.children()["path"]).suffix in (".csv", ".npz", ".npy"):
+            readers = {"path": existing_file, "column": text}
+            return construct(entry, load_face_values, readers, count=faces.size)
+        readers = {"path": existing_file, "field": text, "unit": text, "time": number}
+        return construct(entry, load_surface_field, readers, mesh=mesh).value[faces]
+    value = np.asarray(numbers(entry))
+    if value.shape not in ((), (faces.size,)):
+        raise entry.wrong(f"one number or {faces.size}, one per face")
+    if not (value > 0).all():
+        raise entry.wrong("temperatures > 0 K")
+    return np.broadcast_to(value, faces.shape)
+
+
+def _joined(brdfs: Sequence[AbstractBrdf], kind: np.ndarray) -> AbstractBrdf:
+    """One brdf of all faces: those of one class become one with parameters per face."""
+    used = sorted(set(kind.tolist()))
+    classes = list(dict.fromkeys(_class(brdfs[i], i) for i in used))
+    merged = [_merged([(i, brdfs[i]) for i in used if _class(brdfs[i], i) == one], kind) for one in classes]
+    if len(merged) == 1:
+        return merged[0]
+    place = {i: classes.index(_class(brdfs[i], i)) for i in used}
+    return BrdfPerFace(merged, np.array([place[i] for i in kind.tolist()]))
+
+
+def _class(brdf: AbstractBrdf, index: int) -> Any:
+    """What may be merged: tables are too large to be repeated for every face, so each stands alone."""
+    return (BrdfTable, index) if isinstance(brdf, BrdfTable) else (type(brdf), -1)
+
+
+def _merged(brdfs: Sequence[tuple[int, AbstractBrdf]], kind: np.ndarray) -> AbstractBrdf:
+    if len(brdfs) == 1:
+        return brdfs[0][1]
+
+    def per_face(*leaves: Any) -> Any:
+        width = max(leaf.shape[1] for leaf in leaves)
+        value = jnp.zeros((kind.size, width), leaves[0].dtype)
+        for (index, _), leaf in zip(brdfs, leaves, strict=True):
+            value = jnp.where(jnp.asarray(kind == index)[:, None], leaf, value)
+        return value
+
+    return jax.tree.map(per_face, *(brdf for _, brdf in brdfs))

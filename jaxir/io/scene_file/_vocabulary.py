@@ -1,0 +1,252 @@
+"""What a scene file may hold: the constructors of every kind of object, and how their parameters are read.
+
+A new gas, brdf, light, atmosphere is one line here; a new parameter of one is none, unless its values are no numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxir.geometry import Grid, Independent, Lattice, Sobol, Stratified, orthographic_camera, perspective_camera
+from jaxir.io.mesh import METRES
+from jaxir.io.scene_file._entries import (
+    Entry,
+    Reader,
+    build,
+    construct,
+    existing_file,
+    integer,
+    number,
+    numbers,
+    one_of,
+    sizes,
+    text,
+)
+from jaxir.io.spectra import load_atmosphere_csv, load_k_tables, load_tape7
+from jaxir.optics.air import Profile, us_standard_1976
+from jaxir.optics.gas import CorrelatedK, CrossSections, GrayGas, NarrowBandGas, combustion_products
+from jaxir.optics.particle import GrayParticles, HenyeyGreenstein, Isotropic, Particles, TabulatedPhase, mie_table
+from jaxir.optics.spectrum import LWIR, MWIR, SWIR, Band, Nodes, sensor_band
+from jaxir.optics.surface import BrdfTable, Lambert, RoughConductor, SandfordRobertson
+from jaxir.scene.air_path import StandardAtmosphere, TableAtmosphere, UniformAtmosphere
+from jaxir.scene.atmosphere import FixedPath
+from jaxir.scene.background import BlackbodyBackground, UniformBackground
+from jaxir.scene.jet import JetPlume
+from jaxir.scene.near_source import DiscSource, PointSource, PolygonSource, SphereSource
+from jaxir.scene.plume import GridPlume
+from jaxir.scene.sky import ElevationTable
+from jaxir.scene.source import ParallelSource
+from jaxir.transport.path_estimator import CellSum, CombinedIntegration, LineIntegration, PointIntegration
+from jaxir.transport.reflection import (
+    AmbientTerm,
+    BrdfSampling,
+    ClosedForm,
+    LightSampling,
+    MultipleImportance,
+    PlumeLight,
+    SkinLight,
+)
+
+
+def combustion_gas(pressure: Any, carbon: float, hydrogen: float, equivalence_ratio: Any) -> NarrowBandGas:
+    """The products of complete combustion as a gas, see `combustion_products`.
+
+    Args:
+        pressure: [Pa].
+        carbon: atoms of carbon in a molecule of fuel.
+        hydrogen: atoms of hydrogen.
+        equivalence_ratio: in [0, 1].
+
+    Returns:
+        The gas. Differentiable in `pressure` and `equivalence_ratio`.
+    """
+    products = combustion_products(carbon, hydrogen, equivalence_ratio)
+    return NarrowBandGas(pressure, h2o=products.h2o, co2=products.co2, o2=products.o2)
+
+
+def _band(name: str, lower: float, upper: float) -> Band:
+    return Band(name, lower, upper)
+
+
+def _read_band(entry: Entry) -> Band:
+    if isinstance(entry.value, dict):
+        return build(entry, {"Band": _band, "sensor_band": sensor_band}, READERS, default="Band")
+    return BANDS[one_of(list(BANDS))(entry)]
+
+
+def band_list(entry: Entry) -> tuple[Band, ...]:
+    """Bands by name, or as tables; no two of one name."""
+    bands = tuple(_read_band(item) for item in entry.items())
+    names = [band.name for band in bands]
+    if not bands or len(set(names)) < len(names):
+        raise entry.wrong("at least one band, and different names")
+    return bands
+
+
+def k_nodes(path: Path) -> Nodes:
+    """The nodes of tables of cross-sections, see `jaxir.io.spectra`."""
+    return load_k_tables(path).nodes
+
+
+def k_air(path: Path) -> FixedPath:
+    """The air of tables of cross-sections, on their nodes.
+
+    Raises:
+        ValueError: the file holds none.
+    """
+    air = load_k_tables(path).air
+    if air is None:
+        raise ValueError(f"{path}: holds no air, expected tables saved with that of `slot_atmosphere`")
+    return air
+
+
+def _k_tables(entry: Entry) -> tuple[CrossSections, ...]:
+    def tables(path: Path) -> tuple[CrossSections, ...]:
+        return load_k_tables(path).tables
+
+    return construct(entry, tables, READERS)
+
+
+def _refractive_index(entry: Entry) -> Any:
+    """n - i k of `{ n, k }`, numbers or one per wavelength."""
+    parts = entry.only(["n", "k"], ["n", "k"])
+    return np.asarray(numbers(parts["n"])) - 1j * np.asarray(numbers(parts["k"]))
+
+
+def _mie(entry: Entry) -> Any:
+    readers = {"index": _refractive_index, "angles": integer, "sizes": integer}
+    return build(entry, {"mie_table": mie_table}, readers)
+
+
+def _number_table(entry: Entry) -> dict[str, Any]:
+    return {name: numbers(child) for name, child in entry.children().items()}
+
+
+def _field_values(entry: Entry) -> dict[str, float]:
+    return {name: number(child) for name, child in entry.children().items()}
+
+
+def _per_node(entry: Entry) -> float | np.ndarray:
+    """Numbers; a field over a grid holds in every node."""
+    value = numbers(entry)
+    return value[..., None] if isinstance(value, np.ndarray) and value.ndim == 3 else value
+
+
+def _key(entry: Entry) -> Any:
+    return jax.random.key(integer(entry))
+
+
+BANDS = {band.name: band for band in (SWIR, MWIR, LWIR)}
+BRDFS: dict[str, Callable] = {
+    "Lambert": Lambert,
+    "SandfordRobertson": SandfordRobertson,
+    "RoughConductor": RoughConductor,
+    "BrdfTable": BrdfTable,
+}
+GASES: dict[str, Callable] = {
+    "GrayGas": GrayGas,
+    "NarrowBandGas": NarrowBandGas,
+    "CorrelatedK": CorrelatedK,
+    "combustion_gas": combustion_gas,
+}
+PARTICLES: dict[str, Callable] = {"Particles": Particles, "GrayParticles": GrayParticles}
+PHASES: dict[str, Callable] = {
+    "Isotropic": Isotropic,
+    "HenyeyGreenstein": HenyeyGreenstein,
+    "TabulatedPhase": TabulatedPhase,
+}
+PLUMES: dict[str, Callable] = {"GridPlume": GridPlume, "JetPlume": JetPlume}
+SOURCES: dict[str, Callable] = {
+    "ParallelSource": ParallelSource,
+    "PointSource": PointSource,
+    "DiscSource": DiscSource,
+    "PolygonSource": PolygonSource,
+    "SphereSource": SphereSource,
+}
+BACKGROUNDS: dict[str, Callable] = {
+    "UniformBackground": UniformBackground,
+    "BlackbodyBackground": BlackbodyBackground,
+    "ElevationTable": ElevationTable,
+}
+ATMOSPHERES: dict[str, Callable] = {
+    "StandardAtmosphere": StandardAtmosphere,
+    "UniformAtmosphere": UniformAtmosphere,
+    "FixedPath": FixedPath,
+    "TableAtmosphere": TableAtmosphere,
+    "load_atmosphere_csv": load_atmosphere_csv,
+    "load_tape7": load_tape7,
+    "k_air": k_air,
+}
+PROFILES: dict[str, Callable] = {"us_standard_1976": us_standard_1976, "Profile": Profile}
+CAMERAS: dict[str, Callable] = {
+    "perspective_camera": perspective_camera,
+    "orthographic_camera": orthographic_camera,
+}
+DIRECT: dict[str, Callable] = {
+    "MultipleImportance": MultipleImportance,
+    "LightSampling": LightSampling,
+    "BrdfSampling": BrdfSampling,
+    "ClosedForm": ClosedForm,
+}
+SAMPLERS: dict[str, Callable] = {
+    "Independent": Independent,
+    "Stratified": Stratified,
+    "Sobol": Sobol,
+    "Lattice": Lattice,
+}
+PATH_ESTIMATORS: dict[str, Callable] = {
+    "CellSum": CellSum,
+    "PointIntegration": PointIntegration,
+    "LineIntegration": LineIntegration,
+    "CombinedIntegration": CombinedIntegration,
+}
+
+
+def _of(constructors: dict[str, Callable]) -> Reader:
+    return lambda entry: build(entry, constructors, READERS)
+
+
+# How the values of parameters are read, whatever constructor they belong to; those not named here are numbers.
+READERS: dict[str, Reader] = {
+    "bands": band_list,
+    "beyond": _of({"AmbientTerm": AmbientTerm}),
+    "bounces": integer,
+    "brdf": _of(BRDFS),
+    "brdfs": integer,
+    "coefficient": _per_node,
+    "direct": _of(DIRECT),
+    "extinction": _per_node,
+    "fields": _field_values,
+    "gas": _of(GASES),
+    "grid": _of({"Grid": Grid}),
+    "lights": integer,
+    "mole_fractions": _number_table,
+    "name": text,
+    "orders": integer,
+    "pair_points": integer,
+    "panels": integer,
+    "particles": _of(PARTICLES),
+    "path": existing_file,
+    "phase": _of(PHASES),
+    "plume": _of({"PlumeLight": PlumeLight}),
+    "points": integer,
+    "profile": _of(PROFILES),
+    "sampler": _of(SAMPLERS),
+    "samples": integer,
+    "shape": sizes,
+    "skin": _of({"SkinLight": SkinLight}),
+    "table": _mie,
+    "tables": _k_tables,
+    "unit": one_of(list(METRES)),
+}
+RENDER_READERS: dict[str, Reader] = {
+    **READERS,
+    "key": _key,
+    "max_samples": integer,
+    "path": _of(PATH_ESTIMATORS),
+}

@@ -1,0 +1,10 @@
+"""The air: its profile, and the cold path through it."""
+
+from jaxir.optics.air._profile import Profile as Profile
+from jaxir.optics.air._profile import us_standard_1976 as us_standard_1976
+from jaxir.optics.air._standard import PathAir as PathAir
+from jaxir.optics.air._standard import altitude_along as altitude_along
+from jaxir.optics.air._standard import path_air as path_air
+from jaxir.optics.air._standard import path_emission as path_emission
+from jaxir.optics.air._standard import path_transmittance as path_transmittance
+from jaxir.optics.air._standard import slant_range as slant_range

@@ -1,0 +1,242 @@
+"""Gas from tables of cross-sections at the quantiles of bins, as line lists give them."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import Precision
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, enforce, positive
+from jaxir.optics.gas._gas import AbstractGas, mixture_checks, require_cells, require_one_shape, require_uniform
+from jaxir.optics.gas._spline import spline_matrix, spline_weights
+from jaxir.optics.spectrum import Nodes, quantile_index
+
+BOLTZMANN = 1.380649e-23  # J / K, exact since 2019 (CODATA 2018)
+_KELVIN = 1000.0  # scales 1/T to the order of 1
+FAINTEST = 1e-36  # m2; stands for 0 where a logarithm is taken: at 1 atm no plume is long enough to show it
+
+
+class Axis(eqx.Module):
+    """One axis of a table.
+
+    Attributes:
+        levels: increasing [level]; from four on the table is a cubic spline over them, below that one polynomial.
+        matrix: of the spline, see `jaxir.optics.gas` [level, level].
+    """
+
+    levels: Float[Array, " level"]
+    matrix: Float[Array, "level level"]
+
+    def __init__(self, field: str, levels: Any):
+        """Check and convert; the levels are known when the table is made."""
+        given = np.asarray(levels, np.float64)
+        rising = given.ndim == 1 and given.size > 0 and bool(np.all(np.isfinite(given)) and np.all(np.diff(given) > 0))
+        if not rising:
+            raise ValueError(f"{field}: got {levels!r}, expected increasing finite values, at least one")
+        self.levels, self.matrix = as_float(given), as_float(spline_matrix(given))
+
+    def weights(self, place: Float[Array, "*cell"]) -> Float[Array, "*cell level"]:
+        """Weights of the levels at `place` [*cell, level]."""
+        return spline_weights(self.levels, self.matrix, place)
+
+
+class CrossSections(eqx.Module):
+    """Absorption cross-sections of one species at the quantiles of nodes, over temperature, pressure, mole fraction.
+
+    Attributes:
+        species: name, which also says which quantile of a node counts (`quantile_index`).
+        temperature: -1000 K / T at the levels.
+        pressure: ln of the levels [Pa].
+        mole_fraction: levels of the species' own mole fraction, which broadens its lines.
+        log_cross_section: ln of m2 per molecule [temperature, pressure, mole_fraction, node].
+        lower, upper: edges of the nodes' bins [node] [cm-1].
+        g: quantile of the species in each node [node].
+
+    Differentiable in `log_cross_section`.
+    """
+
+    species: str = eqx.field(static=True)
+    temperature: Axis
+    pressure: Axis
+    mole_fraction: Axis
+    log_cross_section: Float[Array, "temperature pressure mole_fraction node"]
+    lower: Float[Array, " node"]
+    upper: Float[Array, " node"]
+    g: Float[Array, " node"]
+
+    def __init__(
+        self, species: str, nodes: Nodes, temperature: Any, pressure: Any, mole_fraction: Any, cross_section: Any
+    ):
+        """Take a table.
+
+        Args:
+            species: name.
+            nodes: those of the table's last axis.
+            temperature: increasing levels [level] [K].
+            pressure: increasing levels [level] [Pa].
+            mole_fraction: increasing levels of the species' own mole fraction [level].
+            cross_section: [temperature, pressure, mole_fraction, node] [m2] >= 0.
+
+        Raises:
+            ValueError: levels that do not increase, a table of another shape, values that are negative or not finite.
+        """
+        name = f"CrossSections {species!r}"
+        value = np.asarray(cross_section, np.float64)
+        shape = (np.size(temperature), np.size(pressure), np.size(mole_fraction), nodes.count)
+        if value.shape != shape:
+            raise ValueError(f"{name}.cross_section: got shape {value.shape}, expected {shape}")
+        if not (np.all(np.isfinite(value)) and np.all(value >= 0)):
+            raise ValueError(f"{name}.cross_section: got values that are negative or not finite, expected >= 0")
+        for field, levels in (("temperature", temperature), ("pressure", pressure)):
+            if not np.all(np.asarray(levels) > 0):
+                raise ValueError(f"{name}.{field}: got {levels!r}, expected values > 0")
+        self.species = species
+        self.temperature = Axis(f"{name}.temperature", -_KELVIN / np.asarray(temperature, np.float64))
+        self.pressure = Axis(f"{name}.pressure", np.log(pressure))
+        self.mole_fraction = Axis(f"{name}.mole_fraction", mole_fraction)
+        self.log_cross_section = as_float(np.log(np.maximum(value, FAINTEST)))
+        self.lower, self.upper = nodes.lower, nodes.upper
+        self.g = nodes.g[:, quantile_index(species)]
+
+    def levels(self) -> dict[str, np.ndarray]:
+        """Levels of temperature [K], pressure [Pa] and mole fraction by name, on the host in double precision."""
+        inverse, log_pressure, amount = (
+            np.asarray(axis.levels, np.float64) for axis in (self.temperature, self.pressure, self.mole_fraction)
+        )
+        return {"temperature": -_KELVIN / inverse, "pressure": np.exp(log_pressure), "mole_fraction": amount}
+
+    def at(
+        self, temperature: Float[Array, "*cell"], pressure: Float[Array, "..."], mole_fraction: Float[Array, "..."]
+    ) -> Float[Array, "*cell node"]:
+        """Cross-section [*cell, node] [m2] at temperatures [K], pressures [Pa] and mole fractions, cells or scalars.
+
+        Beyond the ends of an axis ln of the cross-section goes on along its tangent in 1/T, ln p or x; for temperature
+        that is the Boltzmann factor of one energy.
+
+        Differentiable in all three.
+        """
+        weights = [
+            self.temperature.weights(-_KELVIN / temperature),
+            self.pressure.weights(jnp.log(pressure)),
+            self.mole_fraction.weights(mole_fraction),
+        ]
+        table = self.log_cross_section
+        for axis in (2, 1, 0):  # what is the same in every cell leaves the table before there are cells
+            if weights[axis].ndim == 1:
+                table = jnp.tensordot(weights.pop(axis), table, axes=(0, axis), precision=Precision.HIGHEST)
+        if weights:
+            joint = functools.reduce(_outer, weights)
+            rows = table.reshape(joint.shape[-1], table.shape[-1])
+            table = jnp.matmul(joint, rows, precision=Precision.HIGHEST)
+        return jnp.exp(table)
+
+
+def _outer(first: Float[Array, "*cell a"], second: Float[Array, "*cell b"]) -> Float[Array, "*cell ab"]:
+    product = first[..., :, None] * second[..., None, :]
+    return product.reshape(*first.shape[:-1], first.shape[-1] * second.shape[-1])
+
+
+class CorrelatedK(AbstractGas):
+    """Gas whose lines are tabulated: correlated-k, and line by line on nodes as narrow as lines.
+
+    A species with the cross-section sigma at a node absorbs
+
+        kappa = sigma(T, p, x) x p / (k T),
+
+    and the coefficients of species add: CO2 takes the first quantile of a node, all other species the second, so that
+    bins with squares of quantiles (`resolved_nodes`) let them overlap at random. ln sigma is a cubic spline in 1/T,
+    ln p and x between the levels of the table; beyond them it goes on along its tangents, for temperature with the
+    Boltzmann factor of one energy. That keeps values and gradients smooth in cold cells and for hot iterates of a fit;
+    it is untested against lines.
+
+    Accuracy. At one temperature only quadrature and interpolation err: 8 quantiles of 25 cm-1 bins are within 1 % of
+    line by line for CO2 at 4.3 um (330-1500 K, 3 mm to 10 m at 0.3 atm). Where hot gas shines through colder gas of
+    the same plume, the assumption that lines keep their rank in a bin fails: seven layers from 400 to 1500 K and back
+    err by -2 % (20 cm each) and -5 % (2 cm) in vacuum, and more quantiles do not help. For cold air in front use the
+    transmittance averaged over the slots of the quantiles (`jaxir.io.spectra.slot_atmosphere`), not its bin means.
+
+    Attributes:
+        tables: one for each species.
+        pressure: total pressure [*cell] or scalar [Pa].
+        mole_fractions: by species [*cell] or scalar; a species without one is absent and costs nothing.
+
+    Differentiable in every field but the levels of the tables.
+    """
+
+    tables: tuple[CrossSections, ...]
+    pressure: Float[Array, "*cell"]
+    mole_fractions: dict[str, Float[Array, "*cell"]]
+
+    def __init__(self, tables: Sequence[CrossSections], pressure: Any, mole_fractions: Mapping[str, Any]):
+        """Choose from `tables` the species that have a mole fraction."""
+        known = {table.species: table for table in tables}
+        unknown = sorted(set(mole_fractions) - set(known))
+        if unknown or not mole_fractions:
+            raise ValueError(
+                f"CorrelatedK.mole_fractions: got {unknown or 'no species'}, expected some of {sorted(known)}"
+            )
+        self.pressure = as_float(pressure, "CorrelatedK.pressure")
+        self.mole_fractions = {
+            species: as_float(mole_fractions[species], f"CorrelatedK.{species}") for species in sorted(mole_fractions)
+        }
+        self.tables = tuple(known[species] for species in self.mole_fractions)
+        require_one_shape("CorrelatedK", self._fields())
+
+    def _fields(self) -> list[Array]:
+        return [self.pressure, *self.mole_fractions.values()]
+
+    def absorption(self, nodes: Nodes, temperature: Float[Array, "*cell"]) -> Float[Array, "*cell node"]:
+        """See `AbstractGas.absorption`.
+
+        Raises:
+            ValueError: fields and temperature differ in shape; nodes that are not those of the tables.
+            RuntimeError: the same for nodes known only at run time.
+        """
+        require_cells("CorrelatedK", self._fields(), temperature)
+        density = self.pressure / (BOLTZMANN * temperature)
+        parts = []
+        for table in self.tables:
+            amount = self.mole_fractions[table.species]
+            sigma = _matching(table, nodes).at(temperature, self.pressure, amount)
+            parts.append((density * amount)[..., None] * sigma)
+        return functools.reduce(jnp.add, parts)
+
+    def diluted(self, share: Float[Array, "*cell"], density: Float[Array, "*cell"]) -> CorrelatedK:
+        """See `AbstractGas.diluted`: mole fractions are shares of this gas's.
+
+        Raises:
+            ValueError: the gas already differs from cell to cell.
+        """
+        require_uniform("CorrelatedK", self._fields())
+        amounts = {species: share * amount for species, amount in self.mole_fractions.items()}
+        return CorrelatedK(self.tables, self.pressure, amounts)
+
+    def checks(self) -> list[Check]:
+        """Pressure is > 0, mole fractions lie in [0, 1] and sum to at most 1."""
+        return [
+            positive("CorrelatedK.pressure", self.pressure),
+            *mixture_checks("CorrelatedK", self.mole_fractions),
+        ]
+
+
+def _matching(table: CrossSections, nodes: Nodes) -> CrossSections:
+    """`table`, once its nodes are `nodes`."""
+    name = f"CorrelatedK: nodes of the table of {table.species}"
+    if table.g.shape != nodes.weight.shape:
+        raise ValueError(f"{name}: got {nodes.count} nodes, expected the table's {table.g.shape[0]}")
+    pairs = (
+        ("lower", nodes.lower, table.lower, 1e-6 * table.lower),
+        ("upper", nodes.upper, table.upper, 1e-6 * table.upper),
+        ("g", nodes.g[:, quantile_index(table.species)], table.g, jnp.full_like(table.g, 1e-6)),
+    )
+    checks = [
+        Check(f"{name}: {field}", got, jnp.abs(got - expected) <= slack, "the nodes that the table was made for")
+        for field, got, expected, slack in pairs
+    ]
+    return enforce(table, checks)

@@ -1,0 +1,177 @@
+"""Planck's law: spectral and bin-integrated blackbody radiance, right in float32 from 3 K to 6000 K.
+
+With x = c2 nu / T the radiance of a bin is
+
+    B = K T^4 int_{x1}^{x2} x^3 e^{-x} / (1 - e^{-x}) dx,      K = 2 h c^2 / c2^4.
+
+Written with v = e^{-(x - x1)/6} the exponential leaves the integrand,
+
+    B = 6 K T^4 e^{-x1} int_{v2}^1 v^5 x^3 / (1 - e^{-x}) dv,   x = x1 - 6 ln v,
+
+and Gauss-Legendre in v converges for wide bins and narrow ones, hot and cold, without a branch: 10 points err by
+2e-8 relative, 40 points by 2e-14 (over 1e-2 < x1 < 2e3, 0.05 < x2 - x1 < 3e3, against 30-digit quadrature).
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxir._arrays import as_float
+from jaxir.optics.spectrum._band import SECOND_RADIATION, Nodes, wavelength_to_wavenumber
+
+FIRST_RADIATION = 1.1910429723971884e-8  # 2 h c^2 [W m-2 sr-1 / (cm-1)^4], exact since 2019 (CODATA 2018)
+STEFAN = FIRST_RADIATION / SECOND_RADIATION**4  # K [W m-2 sr-1 K-4]; sigma = pi^5 K / 15
+_STRETCH = 6.0
+_POINTS = {4: 10, 8: 40}  # Gauss-Legendre points by dtype size
+_WRITTEN_OUT = 10  # points that are terms of one expression; more would take long to compile
+
+
+def spectral_radiance(
+    wavenumber: Float[Array, "*batch"], temperature: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """Blackbody radiance per wavenumber, 2 h c^2 nu^3 e^{-x} / (1 - e^{-x}).
+
+    The form e^{-x} / (1 - e^{-x}) keeps a derivative where 1 / (e^x - 1) in float32 has none (x > 44).
+
+    Args:
+        wavenumber: nu > 0 [cm-1].
+        temperature: T > 0 [K].
+
+    Returns:
+        Radiance [W m-2 sr-1 / cm-1].
+
+    Differentiable in both.
+    """
+    x = SECOND_RADIATION * wavenumber / temperature
+    return FIRST_RADIATION * wavenumber**3 * jnp.exp(-x) / -jnp.expm1(-x)
+
+
+def spectral_radiance_wavelength(
+    wavelength: Float[Array, "*batch"], temperature: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """Blackbody radiance per wavelength [W m-2 sr-1 / um] at `wavelength` [um]; see `spectral_radiance`."""
+    wavenumber = wavelength_to_wavenumber(wavelength)
+    return spectral_radiance(wavenumber, temperature) * wavenumber / wavelength
+
+
+def band_radiance(temperature: Float[Array, "*batch"], nodes: Nodes) -> Float[Array, "*batch node"]:
+    """Blackbody radiance integrated over each node's bin; the equation is at the head of this file.
+
+    In float32 the quotient c2 nu / T is carried with its remainder, because an error in x1 is a relative error of
+    the same size in e^{-x1} and x1 reaches 19 in the paper's bands; the result errs by less than 1e-6.
+
+    Args:
+        temperature: T > 0 [*batch] [K].
+        nodes: the bins.
+
+    Returns:
+        Radiance [*batch, node] [W m-2 sr-1]; underflows to exactly 0 for x1 beyond 87 in float32.
+
+    Differentiable in temperature.
+    """
+    hot = temperature[..., None]
+    lead = jnp.broadcast_to(nodes.edge[:, 0, 0], hot.shape[:-1] + (nodes.count,))
+    rest = jnp.broadcast_to(nodes.edge[:, 0, 1], lead.shape)
+    hot = jnp.broadcast_to(hot, lead.shape)
+    width = (nodes.edge[:, 1, 0] - nodes.edge[:, 0, 0]) + (nodes.edge[:, 1, 1] - nodes.edge[:, 0, 1])
+    return _bin_radiance(hot, lead, rest, jnp.broadcast_to(width, lead.shape))
+
+
+def blackbody_fraction(wavelength_temperature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Fraction F(0 -> lambda T) of the blackbody exitance below a wavelength.
+
+    Args:
+        wavelength_temperature: lambda T > 0 [um K].
+
+    Returns:
+        F in [0, 1].
+
+    Differentiable in its argument.
+    """
+    x = 1e4 * SECOND_RADIATION / wavelength_temperature
+    one = jnp.ones_like(x)
+    beyond = jnp.full_like(x, 200.0)  # e^-200: the rest of the spectrum
+    return _bin_radiance(one, x, jnp.zeros_like(x), beyond) * (15 / np.pi**4 / STEFAN)
+
+
+def _bin_radiance(
+    temperature: Float[Array, "*batch"],
+    lead: Float[Array, "*batch"],
+    rest: Float[Array, "*batch"],
+    width: Float[Array, "*batch"],
+) -> Float[Array, "*batch"]:
+    """K T^4 times the integral of x^3/(e^x - 1) from (lead + rest)/T over width/T."""
+    point, weight = _gauss_legendre(_POINTS[temperature.dtype.itemsize])
+    first = lead / temperature
+    error = (lax.stop_gradient(_remainder(lead, temperature)) + rest) / temperature
+    reach = -jnp.expm1(-width / (temperature * _STRETCH))
+
+    def term(reach: Array, first: Array, point: Array | float, weight: Array | float) -> Array:
+        inside = reach * point
+        x = first - _STRETCH * jnp.log1p(-inside)
+        return weight * (1 - inside) ** 5 * x**3 / -jnp.expm1(-x)
+
+    # A few terms, written out, are one loop over the batch; an axis of points becomes short sums, up to 20 x slower.
+    if point.size <= _WRITTEN_OUT:
+        integral = sum(term(reach, first, *pair) for pair in zip(point.tolist(), weight.tolist(), strict=True))
+    else:
+        axis = (1,) * temperature.ndim + (-1,)
+        points, weights = (as_float(values).reshape(axis) for values in (point, weight))
+        integral = jnp.sum(term(reach[..., None], first[..., None], points, weights), axis=-1)
+    scale = (_STRETCH * STEFAN) * temperature * (temperature**3 * (reach * integral)) * (1 - error)
+    half = jnp.exp(-first / 2)  # squared last: e^{-x1} alone would underflow before the radiance does
+    return scale * half * half
+
+
+def _remainder(dividend: Array, divisor: Array) -> Array:
+    """dividend - fl(dividend / divisor) * divisor, free of rounding in float32 (Dekker's product on split factors)."""
+    quotient = dividend / divisor
+    if dividend.dtype != jnp.float32:
+        return jnp.zeros_like(dividend)
+    a, b = _split(quotient), _split(divisor)
+    return (((dividend - a[0] * b[0]) - a[0] * b[1]) - a[1] * b[0]) - a[1] * b[1]
+
+
+def _split(value: Array) -> tuple[Array, Array]:
+    """A float32 as the sum of two halves of 12 bits, whose products are exact."""
+    bits = lax.bitcast_convert_type(value, jnp.uint32) & jnp.uint32(0xFFFFF000)
+    high = lax.bitcast_convert_type(bits, jnp.float32)
+    return high, value - high
+
+
+def _gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on [0, 1]."""
+    node, weight = np.polynomial.legendre.leggauss(points)
+    return (node + 1) / 2, weight / 2
+
+
+def brightness_temperature(radiance: Float[Array, "*batch band"], nodes: Nodes) -> Float[Array, "*batch band"]:
+    """Temperature of the blackbody with the same in-band radiance, by Newton's method in ln B(1/T).
+
+    Args:
+        radiance: in-band radiance > 0 [*batch, band] [W m-2 sr-1].
+        nodes: the bins of the bands.
+
+    Returns:
+        Temperature [*batch, band] [K].
+
+    Differentiable in radiance (through 12 unrolled Newton steps).
+    """
+    band = nodes.response.shape[0]
+    wanted = jnp.log(radiance)
+
+    def one(index: int) -> Array:
+        def log_band(inverse: Array) -> Array:
+            return jnp.log(nodes.in_band(band_radiance(1 / inverse, nodes))[..., index])
+
+        inverse = jnp.full_like(wanted[..., index], 1 / 600.0)
+        for _ in range(12):
+            value, slope = jax.jvp(log_band, (inverse,), (jnp.ones_like(inverse),))
+            inverse = inverse + (wanted[..., index] - value) / slope
+        return 1 / inverse
+
+    return jnp.stack([one(i) for i in range(band)], axis=-1)

@@ -1,0 +1,183 @@
+"""Nodes that resolve a spectrum: bins of wavenumber times places in the distribution of the absorption inside a bin.
+
+Inside a bin the absorption coefficient of a gas takes each value k with a frequency, and the mean transmittance of
+the bin needs nothing but that distribution: int exp(-k(g) u) dg over the quantile g. Two gases whose lines are
+unrelated need two quantiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxir.optics.spectrum._band import Band, Nodes, build_nodes, gray_nodes
+
+CO2_H2O_OVERLAP = ((800.0, 1150.0), (3300.0, 3800.0), (4800.0, 5150.0))
+"""Where CO2 and H2O of combustion products both matter [cm-1]: elsewhere between 800 and 9300 cm-1 a common quantile
+changes the radiance of SWIR, MWIR or LWIR by less than 0.3 % (1e-3 rms)."""
+
+_STRETCH = 3  # g = 1 - (1 - s)^3 crowds the points where the few strong values of k lie
+
+
+def quantiles(points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Quadrature over the quantile g of one gas: Gauss-Legendre in s, g = 1 - (1 - s)^3.
+
+    Over Malkmus' distribution with shapes b = e^-6 ... e^4, 8 points err by 1.3 % rms, 6 by 3.5 %, 12 by 0.2 %; plain
+    Gauss-Legendre with 8 points errs by 17 %. For b >= e^-2 the 8 points are within 0.3 % at any depth.
+
+    Args:
+        points: number of points >= 1.
+
+    Returns:
+        g [point] and weights [point], which sum to 1.
+    """
+    node, weight = np.polynomial.legendre.leggauss(points)
+    s = (node + 1) / 2
+    weight = weight * (1 - s) ** (_STRETCH - 1)
+    return 1 - (1 - s) ** _STRETCH, weight / weight.sum()
+
+
+def resolved_nodes(
+    bands: Band | Sequence[Band],
+    width: float = 50.0,
+    points: int = 8,
+    pair_points: int = 5,
+    overlap: Sequence[tuple[float, float]] = CO2_H2O_OVERLAP,
+) -> Nodes:
+    """Nodes for gases and atmospheres: bins on multiples of `width`, clipped to the bands, each with a set of g.
+
+    In a bin where one gas matters both quantiles of a node are equal. In bins touched by `overlap` the nodes form a
+    square of `pair_points` x `pair_points` quantiles, one for CO2 and one for H2O: the two gases overlap at random.
+    For 3 to 300 cm of combustion products at 0.3 and 1 atm, 600-2000 K, the error that the overlap leaves in the
+    in-band radiance is, rms and at most,
+
+        | nodes in overlap bins | SWIR       | MWIR      | LWIR      |
+        | 8, equal quantiles    | 4.7, 12 %  | 0.1, 0.3  | 1.7, 4.8  |
+        | 5 x 5                 | 0.6, 2.5 % | 0.1, 0.3  | 0.4, 1.5  |
+        | 6 x 6                 | 0.3, 1.0 % | 0.1, 0.3  | 0.1, 0.3  |
+
+    Args:
+        bands: at least one band; bands may overlap and then share bins.
+        width: bin width [cm-1]. The embedded tables have 50 cm-1; wider bins group their rows, narrower ones repeat
+            them (and resolve Planck's law and a user's table better).
+        points: quantiles in a bin with one important gas; 1 for spectra that are smooth inside a bin.
+        pair_points: quantiles per gas in overlap bins; 0 keeps equal quantiles there too.
+        overlap: wavenumber intervals [cm-1] with two important gases.
+
+    Returns:
+        Nodes in ascending wavenumber; `Nodes.response` is each band's mean response over the bin, 0 outside the band.
+
+    Raises:
+        ValueError: no band, a width that is not > 0, or a number of points out of range.
+    """
+    bands = (bands,) if isinstance(bands, Band) else tuple(bands)
+    if not bands or not all(isinstance(band, Band) for band in bands):
+        raise ValueError(f"bands: got {bands!r}, expected at least one Band, e.g. (jaxir.MWIR, jaxir.LWIR)")
+    if not (np.isfinite(width) and width > 0):
+        raise ValueError(f"width: got {width}, expected a number > 0 [cm-1]")
+    if not 1 <= points <= 64 or not 0 <= pair_points <= 64:
+        raise ValueError(f"points, pair_points: got {points}, {pair_points}, expected 1 ... 64 and 0 ... 64")
+
+    edges = np.array([(1e4 / band.upper, 1e4 / band.lower) for band in bands])
+    lower, upper = _bins(edges, width)
+    middle = (lower + upper) / 2
+    inside = (middle > edges[:, :1]) & (middle < edges[:, 1:])
+    response = np.zeros(inside.shape)
+    for i, band in enumerate(bands):
+        response[i, inside[i]] = band.mean_response(lower[inside[i]], upper[inside[i]])
+
+    g, weight = quantiles(points)
+    single = np.stack([g, g], axis=-1), weight
+    pair = _square(pair_points) if pair_points else single
+    limits = np.asarray(overlap, np.float64).reshape(-1, 2)
+    touched = np.any((lower[:, None] < limits[:, 1]) & (upper[:, None] > limits[:, 0]), axis=1)
+    sets = [pair if two else single for two in touched.tolist()]
+    repeat = np.repeat(np.arange(lower.size), [weight.size for _, weight in sets])
+    return build_nodes(
+        lower=lower[repeat],
+        upper=upper[repeat],
+        g=np.concatenate([g for g, _ in sets]),
+        weight=np.concatenate([weight for _, weight in sets]),
+        response=response[:, repeat],
+        names=[band.name for band in bands],
+    )
+
+
+class Resolution(NamedTuple):
+    """Arguments of `resolved_nodes`: bin width [cm-1], quantiles per bin, quantiles per gas in overlap bins."""
+
+    width: float
+    points: int
+    pair_points: int
+
+
+RESOLUTIONS = (
+    Resolution(200.0, 1, 0),
+    Resolution(50.0, 1, 0),
+    Resolution(200.0, 4, 3),
+    Resolution(50.0, 2, 2),
+    Resolution(50.0, 4, 3),
+    Resolution(50.0, 6, 4),
+    Resolution(50.0, 8, 5),
+    Resolution(50.0, 12, 8),
+)
+
+
+def nodes_for(
+    radiance: Callable[[Nodes], Float[Array, "*batch band"]],
+    bands: Band | Sequence[Band],
+    rtol: float,
+    resolutions: Sequence[Resolution] = RESOLUTIONS,
+) -> Nodes:
+    """The fewest nodes that a scene needs: one per band if nothing in it depends on the wavenumber.
+
+    Gray nodes, then each of `resolutions` from few nodes to many, are compared with the one of most nodes; the first
+    that agrees is returned. Each try compiles for its number of nodes.
+
+    Args:
+        radiance: in-band results of a few typical rays, e.g. a function that renders a coarse image on given nodes;
+            equal random numbers in every call.
+        bands: at least one band.
+        rtol: largest relative difference of any result.
+        resolutions: candidates, at least one; the finest is the reference.
+
+    Returns:
+        Nodes. The reference itself if nothing coarser meets `rtol`.
+
+    Raises:
+        ValueError: as `resolved_nodes`; rtol not > 0; results that are not finite.
+    """
+    if not (np.isfinite(rtol) and rtol > 0):
+        raise ValueError(f"rtol: got {rtol}, expected a number > 0")
+    bands = (bands,) if isinstance(bands, Band) else tuple(bands)
+    if not resolutions:
+        raise ValueError("resolutions: got none, expected at least one")
+    fine = sorted((resolved_nodes(bands, *resolution) for resolution in resolutions), key=lambda nodes: nodes.count)
+    reference = np.asarray(radiance(fine[-1]), np.float64)
+    if not np.all(np.isfinite(reference)):
+        raise ValueError("radiance: got values that are not finite on the finest nodes")
+    for nodes in (gray_nodes(bands), *fine[:-1]):
+        if np.all(np.abs(np.asarray(radiance(nodes), np.float64) - reference) <= rtol * np.abs(reference)):
+            return nodes
+    return fine[-1]
+
+
+def _square(points: int) -> tuple[np.ndarray, np.ndarray]:
+    g, weight = quantiles(points)
+    first, second = np.meshgrid(g, g, indexing="ij")
+    return np.stack([first.ravel(), second.ravel()], axis=-1), np.outer(weight, weight).ravel()
+
+
+def _bins(edges: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals between all multiples of `width` and all band edges that lie in at least one band."""
+    multiples = np.arange(np.floor(edges.min() / width), np.ceil(edges.max() / width) + 1) * width
+    cuts = np.unique(np.concatenate([multiples, edges.ravel()]))
+    keep = np.concatenate([[True], np.diff(cuts) > 1e-9 * cuts[1:]])  # 1e4/8 is 1250 only up to rounding
+    cuts = cuts[keep]
+    lower, upper = cuts[:-1], cuts[1:]
+    middle = (lower + upper) / 2
+    used = ((middle > edges[:, :1]) & (middle < edges[:, 1:])).any(axis=0)
+    return lower[used], upper[used]

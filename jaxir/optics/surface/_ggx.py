@@ -1,0 +1,294 @@
+"""Rough conductors: the GGX microfacet brdf with Fresnel reflection and the energy of multiple scattering.
+
+Walter et al., "Microfacet models for refraction through rough surfaces" (EGSR 2007); Heitz, "Understanding the
+masking-shadowing function" (JCGT 3(2), 2014) for the height-correlated shadowing; Dupuy and Benyoub, "Sampling visible
+GGX normals with spherical caps" (HPG 2023); Kulla and Conty, "Revisiting physically based shading at Imageworks"
+(SIGGRAPH course, 2017) for the reciprocal term that returns what single scattering loses. The loss matters here: 12 %
+of the light at normal incidence for a roughness of .3 would otherwise appear as emissivity.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, non_negative, positive
+from jaxir._math import dot, frame_around
+from jaxir.optics.surface._brdf import AbstractBrdf, as_parameter, cosine_density, cosine_direction, facing
+from jaxir.optics.surface._fresnel import conductor_absorptance
+
+_DEGREE = (16, 10)  # Chebyshev coefficients of the loss in (direction, roughness)
+_FINE = 48  # quadrature points behind those coefficients
+_COARSE = 6  # and behind the mean absorptance of one direction, each way
+_MEAN = 12
+
+
+class RoughConductor(AbstractBrdf):
+    """A rough surface of complex refractive index n - i k: GGX facets with conductor Fresnel reflection.
+
+    brdf = F D / (2 (c_i r_o + c_o r_i)) + F_ms (1 - E_i)(1 - E_o) / (pi (1 - E_mean)),  r = sqrt(c^2 + a^2 (1 - c^2)),
+
+    with D the GGX distribution of roughness a, E(cos, a) the directional reflectance of perfectly reflecting facets
+    and F_ms the Fresnel factor of light that met more than one facet. Both terms are reciprocal and the reflectance
+    never exceeds 1. E has no elementary form: it is a Chebyshev series fitted to its integral on first use (errs by
+    1e-4 rms, 8e-4 at worst, near grazing). The emissivity is computed from what facets absorb, not as a difference
+    from 1: within .7 % rms of itself, 2 % at grazing.
+
+    Attributes:
+        index: n [face | 1, node | 1].
+        extinction: k [face | 1, node | 1].
+        roughness: a in (0, 1] [face | 1, node | 1].
+
+    Differentiable in all three.
+    """
+
+    index: Float[Array, "..."]
+    extinction: Float[Array, "..."]
+    roughness: Float[Array, "..."]
+
+    def __init__(self, index: Any, extinction: Any, roughness: Any):
+        """Convert; each is a number, [face] or [face, node]."""
+        self.index = as_parameter(index, "RoughConductor.index")
+        self.extinction = as_parameter(extinction, "RoughConductor.extinction")
+        self.roughness = as_parameter(roughness, "RoughConductor.roughness")
+        self.shape()
+
+    def eval(
+        self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
+    ) -> Float[Array, " node"]:
+        """See `AbstractBrdf.eval`."""
+        frame = frame_around(facing(omega_o, normal))
+        i, o = frame @ omega_i, frame @ omega_o
+        above = i[2] > 0
+        cos_i, cos_o = jnp.where(above, i[2], 1), jnp.maximum(o[2], 0)
+        half = _half(i, o)
+        cross = cos_i * _reach(cos_o, self.roughness) + cos_o * _reach(cos_i, self.roughness)
+        reflected = 1 - self._absorptance(jnp.clip(dot(o, half), 0, 1))
+        single = reflected * _facets(half, self.roughness) / (2 * cross)
+        lost = _loss(cos_i, self.roughness) * _loss(cos_o, self.roughness) / _mean_loss(self.roughness)
+        return jnp.where(above, single + (1 - self._lost_absorptance()) * lost / jnp.pi, 0)
+
+    def sample(
+        self, u: Float[Array, " 2"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
+    ) -> Float[Array, " 3"]:
+        """See `AbstractBrdf.sample`; a visible facet, or a cosine lobe for multiply scattered light."""
+        up = facing(omega_o, normal)
+        frame = frame_around(up)
+        o = frame @ omega_o
+        width = _one_width(self.roughness)
+        share = _diffuse_share(o[2], width)
+        diffuse = u[0] < share
+        first = jnp.where(diffuse, u[0], u[0] - share) / jnp.where(diffuse, share, 1 - share)
+        again = jnp.stack([jnp.clip(first, 0, 1), u[1]])
+        half = _visible_facet(again[0], 2 * jnp.pi * again[1], o, width)
+        mirrored = (2 * dot(o, half) * half - o) @ frame
+        return jnp.where(diffuse, cosine_direction(again, up), mirrored)
+
+    def pdf(
+        self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
+    ) -> Float[Array, ""]:
+        """See `AbstractBrdf.pdf`; facets also send a little below the horizon, where the brdf is 0."""
+        up = facing(omega_o, normal)
+        frame = frame_around(up)
+        i, o = frame @ omega_i, frame @ omega_o
+        width = _one_width(self.roughness)
+        share = _diffuse_share(o[2], width)
+        half = _half(i, o)
+        facet = _facets(half, width) / (2 * (o[2] + _reach(o[2], width)))
+        facet = jnp.where((half[2] > 0) & (dot(o, half) > 0), facet, 0)
+        return share * cosine_density(omega_i, up) + (1 - share) * facet
+
+    def reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.reflectance`."""
+        return 1 - self.emissivity(cos_o)
+
+    def emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.emissivity`; E <A> + (1 - E)(1 - F_ms) with <A> the mean absorptance of visible facets."""
+        o = jnp.stack([_sqrt(1 - cos_o * cos_o), jnp.zeros_like(cos_o), cos_o])
+        u, weight = (as_float(a) for a in _facet_points())
+
+        def facet(u: Array, weight: Array) -> tuple[Array, Array]:
+            half = _visible_facet(u[0], jnp.pi * u[1], o, self.roughness)
+            cos = jnp.clip(cos_o * half[2] + o[0] * half[0], 0, 1)
+            out = 2 * cos * half[2] - cos_o
+            above = out > 0
+            seen = weight * jnp.where(above, _seen(cos_o, jnp.where(above, out, 1), self.roughness), 0)
+            return seen * self._absorptance(cos), seen
+
+        total, below = (jnp.sum(part, axis=0) for part in jax.vmap(facet)(u, weight))
+        loss = _loss(cos_o, self.roughness)
+        return (1 - loss) * total / jnp.where(below > 0, below, 1) + loss * self._lost_absorptance()
+
+    def checks(self) -> list[Check]:
+        """The index is positive, the extinction not negative, the roughness in (0, 1]."""
+        return [
+            positive("RoughConductor.index", self.index),
+            non_negative("RoughConductor.extinction", self.extinction),
+            Check(
+                "RoughConductor.roughness",
+                self.roughness,
+                (self.roughness > 0) & (self.roughness <= 1),
+                "values in (0, 1]",
+            ),
+        ]
+
+    def _absorptance(self, cos: Float[Array, "..."]) -> Float[Array, " node"]:
+        node = jnp.broadcast_shapes(cos.shape, self.index.shape, self.extinction.shape)
+        return conductor_absorptance(*(jnp.broadcast_to(a, node) for a in (cos, self.index, self.extinction)))
+
+    def _lost_absorptance(self) -> Float[Array, " node"]:
+        """1 - F_ms = A (1 + F E) / (1 - F (1 - E)), F = 1 - A and E means over cosine-weighted directions."""
+        point, weight = (as_float(a) for a in _gauss_legendre(_MEAN))
+        absorbed = jnp.sum(2 * (weight * point)[:, None] * jax.vmap(self._absorptance)(point), axis=0)
+        reflected, loss = 1 - absorbed, _mean_loss(self.roughness)
+        return absorbed * (1 + reflected * (1 - loss)) / (1 - reflected * loss)
+
+
+def _reach(cos: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Array, "..."]:
+    """r = cos (1 + 2 Lambda), Lambda being Smith's shadowing."""
+    return jnp.sqrt(cos * cos + roughness * roughness * (1 - cos * cos))
+
+
+def _seen(cos_o: Float[Array, ""], cos_i: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Array, "..."]:
+    """G2 / G1 = (1 + Lambda_o) / (1 + Lambda_o + Lambda_i), the part of a visible facet's light that gets out."""
+    reach_o, reach_i = _reach(cos_o, roughness), _reach(cos_i, roughness)
+    return cos_i * (cos_o + reach_o) / (cos_i * reach_o + cos_o * reach_i)
+
+
+def _facets(half: Float[Array, " 3"], roughness: Float[Array, "..."]) -> Float[Array, "..."]:
+    """D = a^2 / (pi (a^2 z^2 + x^2 + y^2)^2); narrow peaks keep their digits because no 1 - cos^2 is formed."""
+    square = roughness * roughness
+    return square / (jnp.pi * (square * half[2] ** 2 + (half[0] ** 2 + half[1] ** 2)) ** 2)
+
+
+def _half(i: Float[Array, " 3"], o: Float[Array, " 3"]) -> Float[Array, " 3"]:
+    """Unit vector half way between two; the normal where they are opposite to rounding."""
+    total = i + o
+    square = dot(total, total)
+    there = square > jnp.finfo(square.dtype).eps ** 2
+    return jnp.where(there, total / jnp.sqrt(jnp.where(there, square, 1)), jnp.asarray([0, 0, 1], total.dtype))
+
+
+def _visible_facet(
+    u: Float[Array, ""], angle: Float[Array, ""], o: Float[Array, " 3"], roughness: Float[Array, "..."]
+) -> Float[Array, "3 ..."]:
+    """Normal of a facet seen from `o` with density D G1 max(o . h, 0) / o_z: a point of a spherical cap, stretched."""
+    long = jnp.sqrt(o[2] ** 2 + roughness**2 * (o[0] ** 2 + o[1] ** 2))
+    x, y, z = roughness * o[0] / long, roughness * o[1] / long, o[2] / long
+    height = (1 - u) * (1 + z) - z
+    radius = _sqrt(1 - height * height)
+    h = jnp.stack([roughness * (radius * jnp.cos(angle) + x), roughness * (radius * jnp.sin(angle) + y), height + z])
+    square = jnp.sum(h * h, axis=0)
+    return h / jnp.sqrt(jnp.where(square > 0, square, 1))[None]
+
+
+def _one_width(roughness: Float[Array, " node"]) -> Float[Array, ""]:
+    """One roughness for all nodes to sample by; the largest, so that weights stay bounded."""
+    return jnp.max(roughness)
+
+
+def _diffuse_share(cos_o: Float[Array, ""], roughness: Float[Array, ""]) -> Float[Array, ""]:
+    """Probability of sampling multiply scattered light."""
+    return jnp.clip(_loss(cos_o, roughness), 0.02, 0.9)
+
+
+def _sqrt(value: Array) -> Array:
+    """Square root with a derivative of 0 at 0."""
+    return jnp.where(value > 0, jnp.sqrt(jnp.where(value > 0, value, 1)), 0)
+
+
+# The energy that single scattering loses ----------------------------------------------------------------------------
+
+
+def _loss(cos: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Array, "..."]:
+    """1 - E(cos, a), a Chebyshev series in sqrt(cos (1 + a) / (cos + a)) and a."""
+    t = _sqrt(cos * (1 + roughness) / (cos + roughness))
+    table = as_float(_loss_table()[0])
+    in_t, in_a = _chebyshev(2 * t - 1, _DEGREE[0]), _chebyshev(2 * roughness - 1, _DEGREE[1])
+    series = jnp.sum(in_t * jnp.tensordot(table, in_a, 1), axis=0)
+    return jnp.maximum(series, 0)  # the fit's own error of 1e-4 around a true 0
+
+
+def _mean_loss(roughness: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Mean of 1 - E over cosine-weighted directions."""
+    series = jnp.tensordot(as_float(_loss_table()[1]), _chebyshev(2 * roughness - 1, _DEGREE[1]), 1)
+    return jnp.maximum(series, 1e-7)
+
+
+def _chebyshev(x: Float[Array, "*leaf"], count: int) -> Float[Array, "order *leaf"]:
+    """T_0 ... T_{count - 1} by their recurrence; smooth at both ends, unlike cos(k arccos x)."""
+    values = [jnp.ones_like(x), x]
+    while len(values) < count:
+        values.append(2 * x * values[-1] - values[-2])
+    return jnp.stack(values)
+
+
+@functools.cache
+def _loss_table() -> tuple[np.ndarray, np.ndarray]:
+    """Chebyshev coefficients of 1 - E [direction, roughness] and of its mean [roughness], in double precision."""
+    t, a = (_chebyshev_points(n) for n in _DEGREE)
+    tt, aa = (m.ravel() for m in np.meshgrid(t, a, indexing="ij"))
+    cos = aa * tt**2 / (1 + aa - tt**2)
+    loss = 1 - _single_scattering(cos, aa).reshape(_DEGREE)
+    cheb = np.polynomial.chebyshev
+    to_t, to_a = (np.linalg.inv(cheb.chebvander(2 * x - 1, len(x) - 1)) for x in (t, a))
+    table = to_t @ loss @ to_a.T
+    mu, weight = _gauss_legendre(64)
+    s = np.sqrt(mu[:, None] * (1 + a) / (mu[:, None] + a))
+    mean = 2 * np.sum((weight * mu)[:, None] * cheb.chebval2d(2 * s - 1, 2 * a[None] - 1 + 0 * s, table), axis=0)
+    return table, to_a @ mean
+
+
+def _single_scattering(cos: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+    """E, the mean of G2 / G1 over visible facets.
+
+    The cap is cut where reflection dips below the horizon, so that Gauss-Legendre sees a smooth integrand.
+    """
+    point, weight = _gauss_legendre(_FINE)
+    mu, a = cos[:, None, None], roughness[:, None, None]
+    sine = np.sqrt(1 - mu * mu)
+    long = np.sqrt(mu**2 + (a * sine) ** 2)
+    x, z, angle = a * sine / long, mu / long, np.pi * point[None, :, None]
+
+    def reflected(height: np.ndarray) -> np.ndarray:
+        radius = np.sqrt(np.maximum(1 - height**2, 0))
+        hx, hy, hz = a * (radius * np.cos(angle) + x), a * radius * np.sin(angle), height + z
+        norm = np.sqrt(hx**2 + hy**2 + hz**2) + 1e-300
+        return 2 * (hx * sine + hz * mu) * hz / norm**2 - mu
+
+    low, high = np.broadcast_to(-z + 1e-15, (len(cos), _FINE, 1)), np.ones((len(cos), _FINE, 1))
+    whole = reflected(low) > 0
+    for _ in range(50):
+        middle = (low + high) / 2
+        above = reflected(middle) > 0
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    start = np.where(whole, -z, high)
+    out = np.maximum(reflected(start + (1 - start) * point[None, None, :]), 1e-300)
+    reach_o, reach_i = (np.sqrt(c * c + a * a * (1 - c * c)) for c in (mu, out))
+    seen = out * (mu + reach_o) / (out * reach_o + mu * reach_i)
+    return np.sum(weight[:, None] * weight * (1 - start) / (1 + z) * seen, axis=(1, 2))
+
+
+@functools.cache
+def _facet_points() -> tuple[np.ndarray, np.ndarray]:
+    """Quadrature over visible facets: (u, angle / pi) [point, 2] and weights [point]."""
+    u, weight = _gauss_legendre(_COARSE)
+    turn = (np.arange(_COARSE) + 0.5) / _COARSE  # midpoints: spectral for an even periodic function
+    pairs = np.stack(np.meshgrid(u, turn, indexing="ij"), axis=-1).reshape(-1, 2)
+    return pairs, np.repeat(weight / _COARSE, _COARSE)
+
+
+@functools.cache
+def _gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on [0, 1]."""
+    node, weight = np.polynomial.legendre.leggauss(points)
+    return (node + 1) / 2, weight / 2
+
+
+def _chebyshev_points(count: int) -> np.ndarray:
+    return (np.cos(np.pi * (np.arange(count) + 0.5) / count) + 1) / 2

@@ -1,0 +1,93 @@
+"""One skin, several kinds of surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxir._arrays import Check
+from jaxir.optics.surface._brdf import AbstractBrdf
+
+
+class BrdfPerFace(AbstractBrdf):
+    """Another brdf for every face: paint on the wings, bare metal at the nozzle.
+
+    Every kind present is computed for every hit and one is kept, which is what a vector machine does anyway; a kind
+    that is not in the list compiles nothing.
+
+    Attributes:
+        kinds: the brdfs, each with parameters for all faces alike or one per face.
+        kind: which of them each face has [face].
+
+    Differentiable in the leaves of `kinds`.
+    """
+
+    kinds: tuple[AbstractBrdf, ...]
+    kind: Int[Array, "..."]
+
+    def __init__(self, kinds: Sequence[AbstractBrdf], kind: Any):
+        """Join brdfs.
+
+        Args:
+            kinds: at least one brdf.
+            kind: index into `kinds` of each face [face].
+
+        Raises:
+            ValueError: no brdf, indices out of range, or brdfs that span different numbers of faces.
+        """
+        index = np.asarray(kind)
+        if not kinds:
+            raise ValueError("BrdfPerFace.kinds: got none, expected at least one brdf")
+        if index.ndim != 1 or not np.issubdtype(index.dtype, np.integer):
+            raise ValueError(f"BrdfPerFace.kind: got {index.dtype} of shape {index.shape}, expected integers (face,)")
+        if index.size == 0 or index.min() < 0 or index.max() >= len(kinds):
+            raise ValueError(f"BrdfPerFace.kind: got {index}, expected indices 0 to {len(kinds) - 1}")
+        for place, one in enumerate(kinds):
+            if one.shape()[0] not in (1, index.size):
+                raise ValueError(
+                    f"BrdfPerFace.kinds[{place}]: got parameters of {one.shape()[0]} faces, expected 1 or {index.size}"
+                )
+        self.kinds = tuple(kinds)
+        self.kind = jnp.asarray(index, jnp.int32)
+        self.shape()
+
+    def eval(
+        self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
+    ) -> Float[Array, " node"]:
+        """See `AbstractBrdf.eval`."""
+        return self._own(lambda brdf: brdf.eval(omega_i, omega_o, normal))
+
+    def sample(
+        self, u: Float[Array, " 2"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
+    ) -> Float[Array, " 3"]:
+        """See `AbstractBrdf.sample`."""
+        return self._own(lambda brdf: brdf.sample(u, omega_o, normal))
+
+    def pdf(
+        self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
+    ) -> Float[Array, ""]:
+        """See `AbstractBrdf.pdf`."""
+        return self._own(lambda brdf: brdf.pdf(omega_i, omega_o, normal))
+
+    def reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.reflectance`."""
+        return self._own(lambda brdf: brdf.reflectance(cos_o))
+
+    def emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.emissivity`."""
+        return self._own(lambda brdf: brdf.emissivity(cos_o))
+
+    def checks(self) -> list[Check]:
+        """The checks of every kind."""
+        return [check for brdf in self.kinds for check in brdf.checks()]
+
+    def _own(self, of: Callable[[AbstractBrdf], Array]) -> Array:
+        """The value of this hit's kind."""
+        chosen = of(self.kinds[0])
+        for place, brdf in enumerate(self.kinds[1:], start=1):
+            chosen = jnp.where(self.kind == place, of(brdf), chosen)
+        return chosen
