@@ -1,28 +1,30 @@
-"""jaxir: differentiable infrared radiometry of aircraft skin and exhaust plumes, in JAX."""
+"""jaxir: differentiable infrared radiometry of aircraft skin and exhaust plumes, in JAX.
 
+The names below are grouped by task: what a scene is made of, what its gas does, whence it is seen, what is computed,
+and how. Fits are in `jaxir.fit`, files in `jaxir.io`.
+"""
+
+# isort: off
 from jaxir._process import native_loops as native_loops
-from jaxir.geometry import Camera as Camera
+
+# A scene
+from jaxir.scene import Lit as Lit
+from jaxir.scene import Scene as Scene
+from jaxir.scene import Skin as Skin
 from jaxir.geometry import Grid as Grid
-from jaxir.geometry import Independent as Independent
-from jaxir.geometry import Lattice as Lattice
-from jaxir.geometry import Sobol as Sobol
-from jaxir.geometry import Stratified as Stratified
-from jaxir.geometry import orthographic_camera as orthographic_camera
-from jaxir.geometry import perspective_camera as perspective_camera
 from jaxir.geometry.search import Mesh as Mesh
-from jaxir.geometry.search import visible_faces as visible_faces
-from jaxir.imaging import Image as Image
-from jaxir.imaging import Outcome as Outcome
-from jaxir.imaging import Plan as Plan
-from jaxir.imaging import Signature as Signature
-from jaxir.imaging import Term as Term
-from jaxir.imaging import plan as plan
-from jaxir.imaging import plume_intensity as plume_intensity
-from jaxir.imaging import render as render
-from jaxir.imaging import signature as signature
-from jaxir.imaging import unoccluded_intensity as unoccluded_intensity
-from jaxir.optics.air import slant_range as slant_range
-from jaxir.optics.air import us_standard_1976 as us_standard_1976
+
+# Its surfaces
+from jaxir.optics.surface import BrdfPerFace as BrdfPerFace
+from jaxir.optics.surface import BrdfTable as BrdfTable
+from jaxir.optics.surface import Lambert as Lambert
+from jaxir.optics.surface import RoughConductor as RoughConductor
+from jaxir.optics.surface import SandfordRobertson as SandfordRobertson
+
+# Its plumes: where they are, the gas and the particles in them
+from jaxir.scene.plume import GridPlume as GridPlume
+from jaxir.scene.plume import JetPlume as JetPlume
+from jaxir.scene.plume import resolve_jet as resolve_jet
 from jaxir.optics.gas import CorrelatedK as CorrelatedK
 from jaxir.optics.gas import GrayGas as GrayGas
 from jaxir.optics.gas import NarrowBandGas as NarrowBandGas
@@ -34,6 +36,26 @@ from jaxir.optics.particle import Particles as Particles
 from jaxir.optics.particle import TabulatedPhase as TabulatedPhase
 from jaxir.optics.particle import mie_table as mie_table
 from jaxir.optics.particle import number_density as number_density
+
+# Its lights and surroundings
+from jaxir.scene.light import BlackbodyBackground as BlackbodyBackground
+from jaxir.scene.light import DiscSource as DiscSource
+from jaxir.scene.light import ElevationTable as ElevationTable
+from jaxir.scene.light import ParallelSource as ParallelSource
+from jaxir.scene.light import PointSource as PointSource
+from jaxir.scene.light import PolygonSource as PolygonSource
+from jaxir.scene.light import SphereSource as SphereSource
+from jaxir.scene.light import UniformBackground as UniformBackground
+
+# The air in front of it
+from jaxir.optics.air import slant_range as slant_range
+from jaxir.optics.air import us_standard_1976 as us_standard_1976
+from jaxir.scene.air import FixedPath as FixedPath
+from jaxir.scene.air import StandardAtmosphere as StandardAtmosphere
+from jaxir.scene.air import TableAtmosphere as TableAtmosphere
+from jaxir.scene.air import UniformAtmosphere as UniformAtmosphere
+
+# Bands and spectral nodes
 from jaxir.optics.spectrum import LWIR as LWIR
 from jaxir.optics.spectrum import MWIR as MWIR
 from jaxir.optics.spectrum import SWIR as SWIR
@@ -45,44 +67,50 @@ from jaxir.optics.spectrum import gray_nodes as gray_nodes
 from jaxir.optics.spectrum import nodes_for as nodes_for
 from jaxir.optics.spectrum import resolved_nodes as resolved_nodes
 from jaxir.optics.spectrum import sensor_band as sensor_band
-from jaxir.optics.surface import BrdfPerFace as BrdfPerFace
-from jaxir.optics.surface import BrdfTable as BrdfTable
-from jaxir.optics.surface import Lambert as Lambert
-from jaxir.optics.surface import RoughConductor as RoughConductor
-from jaxir.optics.surface import SandfordRobertson as SandfordRobertson
+
+# Views
+from jaxir.geometry import Camera as Camera
+from jaxir.geometry import Rays as Rays
+from jaxir.geometry import fitted_camera as fitted_camera
+from jaxir.geometry import orthographic_camera as orthographic_camera
+from jaxir.geometry import perspective_camera as perspective_camera
+from jaxir.geometry.search import visible_faces as visible_faces
+
+# Images and intensities
+from jaxir.imaging import Image as Image
+from jaxir.imaging import Outcome as Outcome
+from jaxir.imaging import Plan as Plan
+from jaxir.imaging import Signature as Signature
+from jaxir.imaging import Term as Term
+from jaxir.imaging import plan as plan
+from jaxir.imaging import plume_intensity as plume_intensity
+from jaxir.imaging import render as render
+from jaxir.imaging import signature as signature
+from jaxir.imaging import unoccluded_intensity as unoccluded_intensity
 from jaxir.quantity import alone as alone
 from jaxir.quantity import at_target as at_target
-from jaxir.scene.air_path import StandardAtmosphere as StandardAtmosphere
-from jaxir.scene.air_path import TableAtmosphere as TableAtmosphere
-from jaxir.scene.air_path import UniformAtmosphere as UniformAtmosphere
-from jaxir.scene.atmosphere import FixedPath as FixedPath
-from jaxir.scene.background import BlackbodyBackground as BlackbodyBackground
-from jaxir.scene.background import UniformBackground as UniformBackground
-from jaxir.scene.jet import JetPlume as JetPlume
-from jaxir.scene.near_source import DiscSource as DiscSource
-from jaxir.scene.near_source import PointSource as PointSource
-from jaxir.scene.near_source import PolygonSource as PolygonSource
-from jaxir.scene.near_source import SphereSource as SphereSource
-from jaxir.scene.plume import GridPlume as GridPlume
-from jaxir.scene.scene import Scene as Scene
-from jaxir.scene.skin import Skin as Skin
-from jaxir.scene.sky import ElevationTable as ElevationTable
-from jaxir.scene.source import ParallelSource as ParallelSource
-from jaxir.transport.evaluate import evaluate as evaluate
-from jaxir.transport.jet import resolve_jet as resolve_jet
-from jaxir.transport.path_estimator import CellSum as CellSum
-from jaxir.transport.path_estimator import CombinedIntegration as CombinedIntegration
-from jaxir.transport.path_estimator import LineIntegration as LineIntegration
-from jaxir.transport.path_estimator import PointIntegration as PointIntegration
-from jaxir.transport.paths import store_crossings as store_crossings
-from jaxir.transport.paths import trace as trace
-from jaxir.transport.radiometry import radiometry as radiometry
-from jaxir.transport.reflection import AmbientTerm as AmbientTerm
-from jaxir.transport.reflection import BrdfSampling as BrdfSampling
-from jaxir.transport.reflection import ClosedForm as ClosedForm
-from jaxir.transport.reflection import LightSampling as LightSampling
-from jaxir.transport.reflection import MultipleImportance as MultipleImportance
-from jaxir.transport.reflection import PlumeLight as PlumeLight
-from jaxir.transport.reflection import Reflection as Reflection
-from jaxir.transport.reflection import SkinLight as SkinLight
-from jaxir.transport.scattering import Scattering as Scattering
+
+# How light is found
+from jaxir.geometry import Independent as Independent
+from jaxir.geometry import Lattice as Lattice
+from jaxir.geometry import Sobol as Sobol
+from jaxir.geometry import Stratified as Stratified
+from jaxir.transport import ClosedForm as ClosedForm
+from jaxir.transport import DirectSampling as DirectSampling
+from jaxir.transport import Method as Method
+from jaxir.transport import PlumeLight as PlumeLight
+from jaxir.transport import SkinLight as SkinLight
+
+# Rays by hand: trace once, evaluate often
+from jaxir.transport import Paths as Paths
+from jaxir.transport import evaluate as evaluate
+from jaxir.transport import store_route as store_route
+from jaxir.transport import trace as trace
+
+# The paper's estimators of the radiance along a ray
+from jaxir.transport import CellSum as CellSum
+from jaxir.transport import CombinedIntegration as CombinedIntegration
+from jaxir.transport import LineIntegration as LineIntegration
+from jaxir.transport import PointIntegration as PointIntegration
+from jaxir.transport import estimate as estimate
+# isort: on

@@ -83,6 +83,12 @@ def fraction(field: str, value: Array) -> Check:
     return Check(field, value, (value >= 0) & (value <= 1), "values in [0, 1]")
 
 
+def increasing(field: str, value: Array) -> Check:
+    """`value` [sample] is finite and increases."""
+    rising = jnp.concatenate([jnp.ones(1, bool), jnp.diff(value) > 0])
+    return Check(field, value, jnp.isfinite(value) & rising, "increasing finite values")
+
+
 def unit_vector(field: str, value: Array) -> Check:
     """The last axis of `value` is a vector of length 1."""
     tolerance = 1e-5

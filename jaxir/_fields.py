@@ -9,16 +9,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxir._arrays import Check, as_float, finite, non_negative, require_shape
+from jaxir._arrays import Check, as_float, finite, non_negative
 
-Shape = tuple[int | str, ...] | None
+Axes = tuple[int | str, ...]
+Range = Callable[[str, Array], Check]
 Spread = Callable[[Array], Array]
+P = TypeVar("P", bound="Physical")
 _DECLARED = "quantity"
+_ONE_FOR_ALL = ("face", "node")  # axes along which length 1 stands for every face or node
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,9 +30,10 @@ class _Quantity:
     """What is declared of a field."""
 
     unit: str
-    shape: Shape
-    within: Callable[[str, Array], Check]
+    shape: Axes | None
+    within: tuple[Range, ...]
     spread: Spread | None
+    least: int
 
 
 def _given(value: Any) -> Any:
@@ -38,9 +43,10 @@ def _given(value: Any) -> Any:
 
 def quantity(
     unit: str,
-    shape: Shape = (),
-    within: Callable[[str, Array], Check] = finite,
+    shape: Axes | None = (),
+    within: Range | tuple[Range, ...] = finite,
     spread: Spread | None = None,
+    least: int = 0,
     **options: Any,
 ) -> Any:
     """A field of numbers.
@@ -48,12 +54,15 @@ def quantity(
     Args:
         unit: of the numbers; "1" for none.
         shape: lengths of the axes; a name stands for any length, the same wherever it occurs in one object, and None
-            for any shape.
-        within: the check that the values must pass, e.g. `jaxir._arrays.positive`.
+            for any shape. Axes named "face" or "node" may have length 1, which stands for all of them. A first name
+            with a star, as "*cell", stands for any number of axes, the same in one object, or for none.
+        within: the check that the values must pass, e.g. `jaxir._arrays.positive`, or several.
         spread: what makes an array of another shape one of this shape, e.g. `per_node`; None for nothing.
+        least: smallest length of every axis.
         options: `default` and `kw_only` of a dataclass field. A field whose default is None may be None.
     """
-    declared = _Quantity(unit, shape, within, spread)
+    ranges = within if isinstance(within, tuple) else (within,)
+    declared = _Quantity(unit, shape, ranges, spread, least)
     return eqx.field(converter=_given, metadata={_DECLARED: declared}, **options)
 
 
@@ -62,7 +71,12 @@ def per_node(value: Array) -> Array:
     return value[None] if value.ndim == 0 else value
 
 
-def spectral(unit: str, within: Callable[[str, Array], Check] = non_negative, **options: Any) -> Any:
+def per_face(value: Array) -> Array:
+    """One number or one for each face as an array with the axes face and node, others as they are."""
+    return value.reshape(value.shape + (1,) * (2 - value.ndim)) if value.ndim else value.reshape(1, 1)
+
+
+def spectral(unit: str, within: Range | tuple[Range, ...] = non_negative, **options: Any) -> Any:
     """A field with one number for all nodes, or one for each [node or 1]."""
     return quantity(unit, ("node",), within, per_node, **options)
 
@@ -83,7 +97,7 @@ class Physical(eqx.Module):
     """An object whose fields are declared by `quantity`, `spectral` and `count`."""
 
     def __check_init__(self) -> None:
-        lengths: dict[str, int] = {}
+        known: dict[str, tuple[int, ...]] = {}
         for name, declared in _declared(self):
             value = getattr(self, name)
             if value is None:
@@ -91,25 +105,23 @@ class Physical(eqx.Module):
             field = f"{type(self).__name__}.{name}"
             array = as_float(value, field)
             array = array if declared.spread is None else declared.spread(array)
-            if declared.shape is not None:
-                known = tuple(lengths.get(axis, axis) if isinstance(axis, str) else axis for axis in declared.shape)
-                require_shape(field, array, known)
-                lengths |= {
-                    axis: length
-                    for axis, length in zip(declared.shape, array.shape, strict=True)
-                    if isinstance(axis, str) and axis != "node"  # 1 stands for all nodes
-                }
+            _require_axes(field, array.shape, declared, known)
             object.__setattr__(self, name, array)
         for entry in dataclasses.fields(self):
             if "least" in entry.metadata:
                 require_count(f"{type(self).__name__}.{entry.name}", getattr(self, entry.name), entry.metadata["least"])
+        self.structure()
+
+    def structure(self) -> None:
+        """Raise `ValueError` where shapes do not suit, beyond what is declared of each field."""
 
     def checks(self) -> list[Check]:
         """What must hold of the values: the range of every field, of every part, and `relations`."""
         ranges = [
-            declared.within(f"{type(self).__name__}.{name}", getattr(self, name))
+            within(f"{type(self).__name__}.{name}", getattr(self, name))
             for name, declared in _declared(self)
             if getattr(self, name) is not None
+            for within in declared.within
         ]
         parts = [getattr(self, entry.name) for entry in dataclasses.fields(self)]
         every = [one for part in parts for one in (part if isinstance(part, tuple) else (part,))]
@@ -124,7 +136,64 @@ class Physical(eqx.Module):
         return []
 
 
+def over_nodes(of: P, nodes: int, names: tuple[str, ...]) -> P:
+    """The same object with one number for each node in every field whose last axis is that of the nodes.
+
+    Args:
+        of: the object.
+        nodes: how many.
+        names: of the bands, for the message.
+
+    Raises:
+        ValueError: a field has neither one value nor one for each node.
+    """
+    fields = [name for name, declared in _declared(of) if declared.shape and declared.shape[-1] == "node"]
+    values = []
+    for name in fields:
+        value = getattr(of, name)
+        if value.shape[-1] not in (1, nodes):
+            raise ValueError(
+                f"{type(of).__name__}.{name}: got {value.shape[-1]} spectral values, expected 1 or {nodes}, one for "
+                f"each node of the bands {names}"
+            )
+        values.append(jnp.broadcast_to(value, (*value.shape[:-1], nodes)))
+    return eqx.tree_at(lambda part: [getattr(part, name) for name in fields], of, values)
+
+
 def _declared(of: Physical) -> Iterator[tuple[str, _Quantity]]:
     for entry in dataclasses.fields(of):
         if _DECLARED in entry.metadata:
             yield entry.name, entry.metadata[_DECLARED]
+
+
+def _require_axes(field: str, shape: tuple[int, ...], declared: _Quantity, known: dict[str, tuple[int, ...]]) -> None:
+    """`ValueError` unless `shape` is that declared; `known` are the lengths that names stand for, and grows."""
+    if declared.shape is not None:
+        expected = _in_words(declared.shape, known)
+        if not _fits(shape, declared.shape, known):
+            raise ValueError(f"{field}: got shape {shape}, expected {expected}")
+    if any(length < declared.least for length in shape):
+        raise ValueError(f"{field}: got shape {shape}, expected a length of at least {declared.least}")
+
+
+def _fits(shape: tuple[int, ...], axes: Axes, known: dict[str, tuple[int, ...]]) -> bool:
+    if axes and str(axes[0]).startswith("*"):
+        count = len(shape) - len(axes) + 1
+        if count < 0 or (count > 0 and known.setdefault(str(axes[0]), shape[:count]) != shape[:count]):
+            return False
+        shape, axes = shape[count:], axes[1:]
+    return len(shape) == len(axes) and all(
+        length == axis
+        if isinstance(axis, int)
+        else (length == 1 and axis in _ONE_FOR_ALL) or known.setdefault(axis, (length,)) == (length,)
+        for length, axis in zip(shape, axes, strict=True)
+    )
+
+
+def _in_words(axes: Axes, known: dict[str, tuple[int, ...]]) -> str:
+    words = [
+        ", ".join(map(str, known.get(str(axis), (axis,)))) + (" or 1" if axis in known and axis in _ONE_FOR_ALL else "")
+        for axis in axes
+    ]
+    cells = " or one without cells" if axes and str(axes[0]).startswith("*") and axes[0] in known else ""
+    return "(" + ", ".join(words) + ("," if len(words) == 1 and "," not in words[0] else "") + ")" + cells

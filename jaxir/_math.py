@@ -1,10 +1,30 @@
-"""Small vector tools that light and geometry both need."""
+"""Small tools that light and geometry both need: vectors, guarded operations, quadrature."""
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+
+def safe_sqrt(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Square root with value and derivative 0 where `value` is not positive. Differentiable."""
+    return jnp.where(value > 0, jnp.sqrt(jnp.where(value > 0, value, 1)), 0)
+
+
+def safe_divide(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
+    """a / b, with value and derivatives 0 where b is 0. Differentiable in both."""
+    return jnp.where(b != 0, a / jnp.where(b != 0, b, 1), 0)
+
+
+@functools.cache
+def gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights [point] of Gauss-Legendre quadrature on [0, 1], on the host in double precision."""
+    node, weight = np.polynomial.legendre.leggauss(points)
+    return (node + 1) / 2, weight / 2
 
 
 def dot(a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]) -> Float[Array, "*batch"]:

@@ -1,8 +1,8 @@
 """The command line: scenes from TOML files rendered to images and signature tables.
 
-python -m jaxir render scene.toml -o image.npz
-python -m jaxir signature scene.toml -o table.csv
-python -m jaxir show scene.toml -o setup.png
+jaxir render scene.toml -o image.npz
+jaxir signature scene.toml -o table.csv
+jaxir show scene.toml -o setup.png
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from jaxir.io.result import (
 )
 from jaxir.io.scene_file import SceneFile, load_scene
 from jaxir.quantity import alone, at_target
-from jaxir.scene.scene import Scene
+from jaxir.scene import Scene
 
 DESCRIPTION = "Infrared radiance images and signatures of scenes described in TOML files."
 EPILOG = """
@@ -77,6 +78,11 @@ def main(argv: list[str]) -> int:
     return 0
 
 
+def run() -> NoReturn:
+    """The command `jaxir`, which `python -m jaxir` runs too: `main` of the process's words, then the end."""
+    sys.exit(main(sys.argv[1:]))
+
+
 def _say(text: str) -> None:
     """One line on stderr."""
     print(f"jaxir: {' '.join(text.split())}", file=sys.stderr)
@@ -85,7 +91,7 @@ def _say(text: str) -> None:
 def _parser() -> argparse.ArgumentParser:
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
-        prog="python -m jaxir", description=DESCRIPTION, epilog=EPILOG, formatter_class=raw, allow_abbrev=False
+        prog="jaxir", description=DESCRIPTION, epilog=EPILOG, formatter_class=raw, allow_abbrev=False
     )
     parser.add_argument("--version", action="version", version=f"jaxir {importlib.metadata.version('jaxir')}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
@@ -224,10 +230,10 @@ def _render(arguments: argparse.Namespace) -> None:
         scene = _scene_of(read, quantity)
         for name, camera in read.cameras.items():
             began = time.perf_counter()
-            image = _of(read, lambda s=scene, c=camera: render(s, c, read.bands, **_light(read), **read.render))
+            image = _of(read, partial(render, scene, camera, read.bands, method=read.method, **read.render))
             if bool(image.outcome == Outcome.samples_spent):
                 warnings.warn(f"{read.file}: render.rtol was not met with {int(image.samples)} samples", stacklevel=1)
-            _warn_of_missing(read, image.missing())
+            _warn_of_truncation(read, image.truncation)
             intensity, error = np.asarray(image.radiant_intensity()), np.asarray(image.intensity_error())
             conditions = _conditions(read, quantity, began, **_camera_conditions(name, camera, image))
             print(f"{name or 'image'}, {quantity} [W/sr]: {_per_band(image.bands, intensity, error)}")
@@ -239,16 +245,11 @@ def _camera_conditions(name: str, camera: Camera, image: Image) -> dict[str, str
     return {"camera": name or "camera", "samples": int(image.samples), "unit": "W m-2 sr-1"}
 
 
-def _light(read: SceneFile) -> dict[str, Any]:
-    """How light is found, for `render` and `signature`."""
-    return {"reflection": read.reflection, "scattering": read.scattering}
-
-
-def _warn_of_missing(read: SceneFile, missing: Any) -> None:
+def _warn_of_truncation(read: SceneFile, truncation: Any) -> None:
     """Say what orders of scattering beyond the last would add, where it is more than 1 %."""
-    share = float(np.max(np.asarray(missing)))
+    share = float(np.max(np.asarray(truncation)))
     if share > 0.01:
-        warnings.warn(f"{read.file}: scattering.orders leaves out about {share:.0%} of the intensity", stacklevel=2)
+        warnings.warn(f"{read.file}: method.orders leaves out about {share:.0%} of the intensity", stacklevel=2)
 
 
 def _signature(arguments: argparse.Namespace) -> None:
@@ -263,8 +264,8 @@ def _signature(arguments: argparse.Namespace) -> None:
         _of(read, lambda: require_full_table(read.signature["views"], read.bands.names))
     for quantity, label in quantities.items():
         scene, began = _scene_of(read, quantity), time.perf_counter()
-        table = _of(read, lambda s=scene: signature(s, bands=read.bands, **_light(read), **read.signature))
-        _warn_of_missing(read, table.missing)
+        table = _of(read, partial(signature, scene, bands=read.bands, method=read.method, **read.signature))
+        _warn_of_truncation(read, table.truncation)
         value, error = np.asarray(table.intensity), np.asarray(table.standard_error)
         largest = np.argmax(value, axis=0), np.arange(value.shape[1])
         print(

@@ -15,14 +15,12 @@ from jaxir.fit import Fit
 from jaxir.geometry import Camera
 from jaxir.imaging import Image, Signature
 from jaxir.optics.spectrum import Nodes
-from jaxir.scene.jet import JetPlume
-from jaxir.scene.plume import GridPlume
-from jaxir.scene.scene import Scene
+from jaxir.scene import Scene
+from jaxir.scene.plume import AbstractPlume
 
 RADIANCE = "radiance [W m$^{-2}$ sr$^{-1}$]"
 SPAN = 1e5  # from the brightest to the darkest colour of a logarithmic scale
 MOST_FACES = 20_000  # drawn of a mesh
-_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) in (1, 2, 4)]  # of a box
 
 
 def _figure(width: float, height: float) -> Any:
@@ -244,8 +242,8 @@ def scene_view(scene: Scene, cameras: Mapping[str, Camera] | None = None) -> Any
     corners = [points]
     if scene.skin is not None:
         _draw_skin(axis, scene)
-    if scene.plume is not None:
-        _draw_plume(axis, scene.plume)
+    for plume in scene.plumes:
+        _draw_plume(axis, plume)
     for name, camera in (cameras or {}).items():
         corners.append(_draw_camera(axis, name, camera, reach))
     for source in scene.delta_sources:
@@ -281,24 +279,10 @@ def _draw_skin(axis: Any, scene: Scene) -> None:
             axis.plot([], [], [], "s", color=colour, label=f"{name}, {np.count_nonzero(part == index)} faces")
 
 
-def _draw_plume(axis: Any, plume: GridPlume | JetPlume) -> None:
-    if isinstance(plume, GridPlume):
-        corner = np.asarray(plume.extent(), np.float64)
-        for a, b in _EDGES:
-            axis.plot(*np.stack([corner[a], corner[b]]).T, color="firebrick", linewidth=0.8)
-        axis.plot([], [], [], color="firebrick", label=f"plume, {' x '.join(map(str, plume.grid.shape))} cells")
-        return
-    nozzle, along = np.asarray(plume.nozzle, np.float64), np.asarray(plume.direction, np.float64)
-    side = np.linalg.svd(along[None])[2][1:]
-    turn = np.linspace(0, 2 * np.pi, 33)
-    around = np.cos(turn)[:, None] * side[0] + np.sin(turn)[:, None] * side[1]
-    radius, end, spread = float(plume.diameter) / 2, float(plume.end), float(plume.spreading)
-    rings = [nozzle + z * along + (radius + spread * z) * around for z in np.linspace(0, end, 6)]
-    for ring in rings:
-        axis.plot(*ring.T, color="firebrick", linewidth=0.8)
-    for k in range(0, 32, 8):
-        axis.plot(*np.stack([rings[0][k], rings[-1][k]]).T, color="firebrick", linewidth=0.8)
-    axis.plot([], [], [], color="firebrick", label="jet")
+def _draw_plume(axis: Any, plume: AbstractPlume) -> None:
+    for line in plume.outlines():
+        axis.plot(*line.T, color="firebrick", linewidth=0.8)
+    axis.plot([], [], [], color="firebrick", label=plume.described())
 
 
 def _draw_camera(axis: Any, name: str, camera: Camera, reach: float) -> np.ndarray:

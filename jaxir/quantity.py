@@ -14,15 +14,15 @@ plume hide of it.
 
 from __future__ import annotations
 
-from jaxir.scene.scene import Scene
+from jaxir.scene import Scene
 
 
 def at_target(scene: Scene) -> Scene:
     """The scene without the air between it and the sensor."""
-    return Scene(scene.skin, scene.plume, scene.sources, scene.background)
+    return Scene(scene.skin, scene.plumes, scene.sources, scene.background)
 
 
 def alone(scene: Scene) -> Scene:
     """The scene before nothing: its background lights what it lights, but is not seen."""
     hidden = () if scene.background is None else (scene.background,)
-    return Scene(scene.skin, scene.plume, (*scene.sources, *hidden), None, scene.atmosphere)
+    return Scene(scene.skin, scene.plumes, (*scene.sources, *hidden), None, scene.atmosphere)

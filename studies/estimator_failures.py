@@ -8,23 +8,18 @@ is naive: the same estimators differentiated at held random numbers, so that the
 medium and its weight does not.
 """
 
-import csv
-import sys
-from pathlib import Path
+import argparse
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import matplotlib
 import numpy as np
 from tqdm import tqdm
 
 import jaxir
 from jaxir.geometry import Crossings
-from jaxir.transport.crossing_sum import crossing_sum
-from studies import options
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+from jaxir.medium import crossing_sum
+from studies._study import Run, study, subplots
 
 CELLS, LENGTH = 32, 1 / 32
 DEPTHS = 10.0 ** np.arange(-8, 5)
@@ -115,8 +110,8 @@ def rows_of(precision: str, count: int) -> list[dict]:
     return rows
 
 
-def chart(path: Path, rows: list[dict], count: int) -> None:
-    figure, axes = plt.subplots(3, len(MEDIA), figsize=(14, 9), sharex=True, sharey="row", layout="constrained")
+def chart(rows: list[dict], count: int) -> Any:
+    figure, axes = subplots(3, len(MEDIA), figsize=(14, 9), sharex=True, sharey="row")
     for column, medium in enumerate(MEDIA):
         for colour, name in zip(("C0", "C1", "C2"), list(ESTIMATORS)[1:], strict=True):
             for precision, mark in (("float32", "x"), ("float64", "o")):
@@ -146,25 +141,21 @@ def chart(path: Path, rows: list[dict], count: int) -> None:
     axes[2, 0].set_ylabel("gradient: bias / radiance\n(dashes: naive, circles: detached)")
     axes[0, 0].legend()
     figure.suptitle("lines: closed form; crosses: float32, circles: float64")
-    figure.savefig(path, dpi=80)
-    plt.close(figure)
+    return figure
 
 
-def main(argv: list[str]) -> None:
-    parser = options("estimator_failures", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--samples", type=int, default=20000, help="per point of the map (%(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("studies/out/estimator_failures"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
-    chosen.out.mkdir(parents=True, exist_ok=True)
+
+
+def main(run: Run) -> str:
+    chosen = run.options
     rows = []
     for precision in ("float32", "float64"):
         with jax.enable_x64(precision == "float64"):
             rows += rows_of(precision, chosen.samples)
-    with open(chosen.out / "estimator_failures.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    chart(chosen.out / "estimator_failures.png", rows, chosen.samples)
+    run.table(rows, digits=6)
+    run.chart(chart(rows, chosen.samples), dpi=80)
     half = len(rows) // 2
     apart = max(abs(a["radiance"] / b["radiance"] - 1) for a, b in zip(rows[:half], rows[half:], strict=True))
     worst = {
@@ -183,15 +174,11 @@ def main(argv: list[str]) -> None:
         ]
         said_naive.append(f"{name} {max(sure)[1] if sure else 'not at all'}")
     bad = sum(not r["finite"] for r in rows)
-    print(
+    return (
         f"largest relative variance of a sample: {said}; the exact sum has none and float32 is within {apart:.1e} of "
-        f"float64; naive gradients are off by {', '.join(said_naive)} of the radiance; {bad} results are not finite; "
-        f"see {chosen.out}/"
+        f"float64; naive gradients are off by {', '.join(said_naive)} of the radiance; {bad} results are not finite"
     )
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except ValueError as error:
-        sys.exit(f"estimator_failures: {error}")
+    study(main, options)

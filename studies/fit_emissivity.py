@@ -4,22 +4,15 @@ Four parts, three bands, twelve aspects, 1 % noise; truth against fit with error
 draws, and the same fit by scipy with finite differences.
 """
 
-import csv
-
 import equinox as eqx
-import matplotlib
 import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.fit import _solve as solve
-from jaxir.fit import measured_intensity, part_emissivity, prepare
-from studies import aircraft, options
-from studies.charts import out_folder
+from jaxir.fit import measured_intensity, part_emissivity, prepare, solve
+from studies import aircraft
+from studies._study import Run, study, subplots
 from studies.fitting import error_bars, finite_differences, timed_solve
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
 
 PARTS = ("nose", "fuselage", "wings", "tails")
 TRUTH = np.array([0.85, 0.7, 0.4, 0.55])
@@ -44,8 +37,7 @@ def scene(emissivity: np.ndarray) -> jaxir.Scene:
     return jaxir.Scene(skin, sources=(jaxir.ParallelSource((0.0, 0.0, -1.0), (10.0, 1.0, 0.05)),))
 
 
-def main() -> None:
-    out = out_folder("fit_emissivity")
+def main(run: Run) -> str:
     start = scene(np.full(4, 0.6))
     signature = jaxir.signature(scene(TRUTH), VIEWS, BANDS, shape=(256, 256), samples=8)
     exact = np.asarray(signature.intensity)
@@ -67,24 +59,22 @@ def main() -> None:
     coverage = np.mean(inside, axis=0)
 
     value, deviation = np.asarray(found.uncertainty.value), np.asarray(found.uncertainty.standard_deviation)
-    with (out / "fit_emissivity.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["part", "truth", "fit", "standard_deviation", "coverage"])
-        writer.writerows(zip(PARTS, TRUTH, value, deviation, coverage, strict=True))
-    figure, axis = plt.subplots(figsize=(5, 3.4), layout="constrained")
+    columns = ("part", "truth", "fit", "standard_deviation", "coverage")
+    rows = zip(PARTS, TRUTH, value, deviation, coverage, strict=True)
+    run.table([dict(zip(columns, row, strict=True)) for row in rows], digits=6)
+    figure, axis = subplots(figsize=(5, 3.4))
     error_bars(axis, PARTS, TRUTH, found)
     axis.set_title("emissivity from 12 aspects, 3 bands, 1 % noise")
-    figure.savefig(out / "fit_emissivity.png", dpi=100)
+    run.chart(figure, dpi=100)
     print(found)
     coverage_said = f"{100 * coverage.min():.1f} to {100 * coverage.max():.1f} % of {DRAWS} draws"
-    print(
+    return (
         f"worst deviation {np.abs((value - TRUTH) / deviation).max():.1f} sigma; one-sigma coverage {coverage_said}; "
         f"{seconds:.2f} s ({first:.1f} s with compilation) against {baseline.seconds:.2f} s "
         f"and {baseline.calls} evaluations of scipy with finite differences, chi-squared "
-        f"{float(found.chi_squared):.1f} against {baseline.cost.min():.1f}; see {out}/"
+        f"{float(found.chi_squared):.1f} against {baseline.cost.min():.1f}"
     )
 
 
 if __name__ == "__main__":
-    options("fit_emissivity", __doc__).parse_args()
-    main()
+    study(main)

@@ -4,21 +4,11 @@ Expected standard deviations of (T, optical depth) for 1 % noise per band, over 
 the coverage of the claimed one-sigma intervals over 1000 noise draws at 1000 K and depth 1.
 """
 
-import csv
-import time
-
-import matplotlib
 import numpy as np
 
 import jaxir
-from jaxir.fit import Factor, Measurement, expected_uncertainty, measured_image, prepare
-from jaxir.fit import _solve as solve
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-
-from studies import options
-from studies.charts import out_folder  # noqa: E402
+from jaxir.fit import Factor, Measurement, expected_uncertainty, measured_image, prepare, solve
+from studies._study import Run, study, subplots
 
 PIXEL = jaxir.orthographic_camera(0.0, 0.0, 0.1, (1, 1))
 PARAMETERS = [Factor("temperature", lambda s: s.plume.temperature), Factor("depth", lambda s: s.plume.gas.coefficient)]
@@ -32,7 +22,7 @@ THEORY = {("MWIR + LWIR", 1.0): (0.00738, 0.0388), ("SWIR + MWIR + LWIR", 1.0): 
 
 def slab(depth: float) -> jaxir.Scene:
     grid = jaxir.Grid((-0.5, -0.5, -0.5), (1.0, 1.0, 1.0), (1, 1, 1))
-    return jaxir.Scene(plume=jaxir.GridPlume(grid, 1000.0, jaxir.GrayGas(depth)))
+    return jaxir.Scene(plumes=jaxir.GridPlume(grid, 1000.0, jaxir.GrayGas(depth)))
 
 
 def measured(scene: jaxir.Scene, bands) -> Measurement:
@@ -53,28 +43,24 @@ def coverage(draws: int) -> np.ndarray:
     return np.mean(inside, axis=0)
 
 
-def main() -> None:
-    out = out_folder("fit_identifiability")
+def main(run: Run) -> str:
     depths = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 3.0, 5.0])
-    began = time.perf_counter()
     rows = []
     for name, bands in SETS.items():
         for depth in depths:
             scene = slab(depth)
             got = expected_uncertainty(scene, PARAMETERS, [measured(scene, bands)])
             rows.append([name, depth, *np.asarray(got.standard_deviation).tolist(), "; ".join(got.undetermined())])
-    with (out / "fit_identifiability.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["bands", "optical_depth", "std_temperature_relative", "std_depth_relative", "not_determined"])
-        writer.writerows(rows)
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained", sharex=True)
+    columns = ("bands", "optical_depth", "std_temperature_relative", "std_depth_relative", "not_determined")
+    run.table([dict(zip(columns, row, strict=True)) for row in rows], digits=6)
+    figure, axes = subplots(1, 2, figsize=(9, 3.6), sharex=True)
     for axis, column, title in zip(axes, (2, 3), ("temperature", "optical depth"), strict=True):
         for name in SETS:
             shown = np.array([row[column] for row in rows if row[0] == name])
             axis.loglog(depths, 100 * np.where(np.isfinite(shown), shown, np.nan), "o-", label=name)
         axis.set(title=title, xlabel="optical depth of the slab", ylabel="standard deviation [%]")
     axes[0].legend()
-    figure.savefig(out / "fit_identifiability.png", dpi=100)
+    run.chart(figure, dpi=100)
     covered = coverage(1000)
     worst = max(
         abs(row[2 + k] / THEORY[key][k] - 1)
@@ -83,13 +69,12 @@ def main() -> None:
         if key == (row[0], row[1])
         for k in (0, 1)
     )
-    print(
+    return (
         f"MWIR alone never separates temperature from depth; adding LWIR does up to depth 3 or so; standard deviations "
         f"differ from the closed form by {100 * worst:.2g} %; one-sigma coverage {100 * covered[0]:.1f} % (T), "
-        f"{100 * covered[1]:.1f} % (depth) of 1000 draws; {time.perf_counter() - began:.0f} s; see {out}/"
+        f"{100 * covered[1]:.1f} % (depth) of 1000 draws"
     )
 
 
 if __name__ == "__main__":
-    options("fit_identifiability", __doc__).parse_args()
-    main()
+    study(main)

@@ -5,24 +5,17 @@ little: truth, fit, their difference and the standard deviation that the fit cla
 take one evaluation per cell; its time is extrapolated from one evaluation.
 """
 
-import csv
 import time
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import matplotlib
 import numpy as np
 import optimistix as optx
 
 import jaxir
-from jaxir.fit import Bounds, Leaf, SmoothPrior, measured_image, prepare
-from jaxir.fit import _solve as solve
-from studies import options
-from studies.charts import out_folder
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+from jaxir.fit import Bounds, Leaf, SmoothPrior, measured_image, prepare, solve
+from studies._study import Run, study, subplots
 
 SHAPE = (24, 10, 6)
 SPACING = (0.25, 0.1, 0.1)
@@ -44,7 +37,7 @@ def true_field() -> np.ndarray:
 
 
 def scene(temperature) -> jaxir.Scene:
-    return jaxir.Scene(plume=jaxir.GridPlume(GRID, temperature, jaxir.GrayGas(0.6)))
+    return jaxir.Scene(plumes=jaxir.GridPlume(GRID, temperature, jaxir.GrayGas(0.6)))
 
 
 def measured(truth: np.ndarray) -> list:
@@ -58,8 +51,7 @@ def measured(truth: np.ndarray) -> list:
     return found
 
 
-def main() -> None:
-    out = out_folder("fit_image")
+def main(run: Run) -> str:
     truth = true_field()
     problem = prepare(scene(START), FIELD, measured(truth), priors={"temperature": SmoothPrior(SHAPE, STEP)})
     began = time.perf_counter()
@@ -80,14 +72,12 @@ def main() -> None:
             jax.block_until_ready(function(problem, z))
         taken.append((time.perf_counter() - began) / 5)
 
-    with (out / "fit_image.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["x", "y", "z", "truth", "fit", "standard_deviation"])
-        place = np.asarray(GRID.centres()).reshape(-1, 3)
-        writer.writerows(zip(*place.T, truth.ravel(), value.ravel(), spread.ravel(), strict=True))
+    place, columns = np.asarray(GRID.centres()).reshape(-1, 3), ("x", "y", "z", "truth", "fit", "standard_deviation")
+    rows = zip(*place.T, truth.ravel(), value.ravel(), spread.ravel(), strict=True)
+    run.table([dict(zip(columns, row, strict=True)) for row in rows], digits=6)
     layer = SHAPE[2] // 2
     panels = (("truth", truth), ("fit", value), ("fit − truth", value - truth), ("claimed deviation", spread))
-    figure, axes = plt.subplots(4, 1, figsize=(7, 8), layout="constrained", sharex=True)
+    figure, axes = subplots(4, 1, figsize=(7, 8), sharex=True)
     for axis, (title, field) in zip(axes, panels, strict=True):
         shown = field[:, :, layer].T
         low, high = (truth.min(), truth.max()) if title in ("truth", "fit") else (None, None)
@@ -95,18 +85,17 @@ def main() -> None:
         axis.set(title=f"{title} [K], middle layer", ylabel="y [m]")
         figure.colorbar(drawn, ax=axis)
     axes[-1].set_xlabel("x [m]")
-    figure.savefig(out / "fit_image.png", dpi=90)
+    run.chart(figure, dpi=90)
     inside = 100 * np.mean(np.abs(off) < 1)
-    print(
+    return (
         f"{truth.size} temperatures from {problem.data} numbers in {seconds:.0f} s and {found.steps} steps, "
         f"chi-squared {float(found.chi_squared):.0f}; rms error {np.sqrt(np.mean((value - truth) ** 2)):.1f} K, "
         f"claimed {np.sqrt(np.mean(spread**2)):.1f} K, {inside:.0f} % of the cells within one deviation, worst "
         f"{np.abs(off).max():.1f}; one reverse pass costs {taken[1] / taken[0]:.1f} evaluations, finite differences "
         f"would cost {truth.size}: "
-        f"{taken[0] * truth.size:.1f} s a gradient instead of {taken[1]:.3f} s (extrapolated); see {out}/"
+        f"{taken[0] * truth.size:.1f} s a gradient instead of {taken[1]:.3f} s (extrapolated)"
     )
 
 
 if __name__ == "__main__":
-    options("fit_image", __doc__).parse_args()
-    main()
+    study(main)

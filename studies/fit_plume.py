@@ -6,23 +6,17 @@ finite differences on the traced residuals and on `jaxir.signature`, which trace
 Newton's steps with automatic Jacobians that trace every time.
 """
 
-import csv
 import time
 
 import equinox as eqx
 import jax
-import matplotlib
 import numpy as np
 
 import jaxir
 from jaxir.fit import jet_parameter, measured_intensity, mole_fraction_scale, particle_loading, prepare
 from jaxir.optics.particle import ParticleTable
-from studies import options
-from studies.charts import judge, out_folder
+from studies._study import Run, judge, study, subplots
 from studies.fitting import error_bars, finite_differences, timed_solve, tracing_every_step
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
 
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
 VIEWS = [(30.0 * k, (10.0, 25.0, 50.0)[k % 3]) for k in range(12)]
@@ -43,7 +37,7 @@ PARAMETERS = [
 ]
 RELATIVE = np.array([1.0, START[1], 1.0, START[3]])  # factors are relative to the start
 SOOT_VOLUME = 5e-8  # of soot in exhaust at the nozzle, as a share of the gas's: an optical depth of some 0.1
-SCATTERING = jaxir.Scattering(0)  # soot this fine absorbs; the study prints how little it scatters
+METHOD = jaxir.Method(orders=0)  # soot this fine absorbs; the study prints how little it scatters
 
 
 def soot_index(wavelength: np.ndarray) -> np.ndarray:
@@ -69,20 +63,19 @@ def scene(temperature: float, scale: float, core: float, load: float, table: Par
     gas = jaxir.NarrowBandGas(PRESSURE, EXHAUST.h2o * scale, EXHAUST.co2 * scale, None, EXHAUST.o2)
     particles = jaxir.Particles(load * SOOT_VOLUME / float(table.volume), table)
     place, shape = ((0, 0, 0), (-1, 0, 0), 0.5), {"core_length": core, "length": 20.0, "panels": 2}
-    return jaxir.Scene(plume=jaxir.JetPlume(*place, temperature, 218.0, gas, particles=particles, **shape))
+    return jaxir.Scene(plumes=jaxir.JetPlume(*place, temperature, 218.0, gas, particles=particles, **shape))
 
 
-def main() -> None:
-    out = out_folder("fit_plume")
+def main(run: Run) -> str:
     table = soot()
-    seen = {"scattering": SCATTERING, "key": jax.random.key(1)}
+    seen = {"method": METHOD, "key": jax.random.key(1)}
     truly = scene(*TRUTH, table)
     exact = np.asarray(jaxir.signature(truly, VIEWS, NODES, shape=(192, 192), samples=2, **seen).intensity)
     spread = NOISE * exact
     noisy = exact + spread * np.random.default_rng(0).normal(size=exact.shape)
     start = scene(*START, table)
     began = time.perf_counter()
-    measured = measured_intensity(start, VIEWS, NODES, noisy, spread, scattering=SCATTERING, **RASTER)
+    measured = measured_intensity(start, VIEWS, NODES, noisy, spread, method=METHOD, **RASTER)
     problem = prepare(start, PARAMETERS, [measured])
     prepared = time.perf_counter() - began
     found, first, seconds = timed_solve(problem)
@@ -103,16 +96,14 @@ def main() -> None:
 
     truth = TRUTH / RELATIVE
     value, deviation = np.asarray(found.uncertainty.value), np.asarray(found.uncertainty.standard_deviation)
-    with (out / "fit_plume.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["parameter", "truth", "fit", "standard_deviation", "sampling_error"])
-        rows = zip(found.uncertainty.labels, truth, value, deviation, np.asarray(found.sampling_error), strict=True)
-        writer.writerows(rows)
-        writer.writerow([])
-        writer.writerow(["solver", "seconds", "evaluations", "chi_squared"])
-        writer.writerow(["jaxir.fit", seconds, found.steps, float(found.chi_squared)])
-        writer.writerows([name, b.seconds, b.calls, b.cost.min()] for name, b in baselines.items())
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.5, 3.6), layout="constrained")
+    columns = ("parameter", "truth", "fit", "standard_deviation", "sampling_error")
+    fitted = zip(found.uncertainty.labels, truth, value, deviation, np.asarray(found.sampling_error), strict=True)
+    run.table([dict(zip(columns, row, strict=True)) for row in fitted], digits=6)
+    columns = ("solver", "seconds", "evaluations", "chi_squared")
+    solvers = [("jaxir.fit", seconds, found.steps, float(found.chi_squared))]
+    solvers += [(name, b.seconds, b.calls, b.cost.min()) for name, b in baselines.items()]
+    run.table([dict(zip(columns, row, strict=True)) for row in solvers], "fit_plume_solvers", digits=6)
+    figure, (left, right) = subplots(1, 2, figsize=(9.5, 3.6))
     error_bars(left, found.uncertainty.labels, truth, found)
     left.set_title("12 aspects, 3 bands, 1 % noise")
     for name, baseline in baselines.items():
@@ -120,14 +111,10 @@ def main() -> None:
     right.loglog([seconds], [float(found.chi_squared)], "o", label="jaxir.fit")
     right.set(xlabel="seconds, compilation apart", ylabel="chi-squared of the best point")
     right.legend(loc="center left", fontsize="small")
-    figure.savefig(out / "fit_plume.png", dpi=100)
+    run.chart(figure, dpi=100)
     print(found)
     albedo = np.asarray(table.scattering / table.extinction)
     print(f"soot scatters {100 * albedo.max():.2g} % of what it takes at 1 um and less beyond, which is left out")
-    print(
-        f"worst deviation {np.abs((value - truth) / deviation).max():.1f} sigma; {seconds:.2f} s ({first:.1f} s with "
-        f"compilation, {prepared:.1f} s to trace), chi-squared {float(found.chi_squared):.2f}"
-    )
     for name, b in baselines.items():
         as_good = b.at[b.cost < float(found.chi_squared) + EQUAL]  # its first point as good as the fit's
         spent = as_good[0] if as_good.size else b.seconds
@@ -136,9 +123,11 @@ def main() -> None:
             + (f", as good as the fit after {spent:.1f} s" if as_good.size else ", never as good as the fit")
         )
         print("  " + judge("times as fast", b.seconds / seconds, GOALS[name]))
-    print(f"see {out}/")
+    return (
+        f"worst deviation {np.abs((value - truth) / deviation).max():.1f} sigma; {seconds:.2f} s ({first:.1f} s with "
+        f"compilation, {prepared:.1f} s to trace), chi-squared {float(found.chi_squared):.2f}"
+    )
 
 
 if __name__ == "__main__":
-    options("fit_plume", __doc__).parse_args()
-    main()
+    study(main)

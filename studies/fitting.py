@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 
-from jaxir.fit import Fit, Problem, value_and_jacobian
-from jaxir.fit import _solve as solve
+from jaxir.fit import Fit, Problem, retraced, solve, value_and_jacobian
 
 
 class Baseline(NamedTuple):
@@ -64,7 +63,7 @@ def tracing_every_step(problem: Problem, steps: int) -> Baseline:
         began, log, near = time.perf_counter(), [], False
         z = coordinates.origin()
         for _ in range(steps):
-            traced = problem.retraced(coordinates.scene(coordinates.values(z)))
+            traced = retraced(problem, coordinates.scene(coordinates.values(z)))
             plain, logarithmic = linearised(traced, z)
             log.append((time.perf_counter() - began, float(plain[0] @ plain[0])))
             residual, jacobian = (np.asarray(x, np.float64) for x in (plain if near else logarithmic))

@@ -6,10 +6,7 @@ an array, the crossings read at least: extinction and emission, 4 bytes each per
 on every backend; without an accelerator the CPU alone is measured, and the output says so.
 """
 
-import csv
-import sys
 import time
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +14,7 @@ import numpy as np
 
 import jaxir
 from jaxir.geometry import crossings, fitted_camera
-from studies import options
-from studies.charts import out_folder
+from studies._study import Run, study
 from studies.scaling import SUN, bands, body, gas
 
 PIXELS, ROUNDS, CELLS, NODES = 256, 5, 300_000, (1, 16)
@@ -61,7 +57,7 @@ def measure(device) -> list[dict]:
         spent = seconds(lambda: jaxir.render(scene, camera, jaxir.MWIR, samples=2).radiance)
         rate = 2 * PIXELS**2 / spent / 1e6
         rows.append({"device": name, "what": "camera rays, lit by the sun", "value": rate, "unit": "Mrays/s"})
-        scene = jaxir.Scene(plume=gas(CELLS))
+        scene = jaxir.Scene(plumes=gas(CELLS))
         camera = fitted_camera(40.0, 20.0, scene.extent(), (PIXELS, PIXELS))
         work = 2 * PIXELS**2 * crossed(scene, camera)
         for count in NODES:
@@ -76,21 +72,15 @@ def measure(device) -> list[dict]:
     return rows
 
 
-def main(argv: list[str]) -> None:
-    parser = options("gpu", __doc__)
-    parser.add_argument("--out", type=Path, default=out_folder("gpu"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
+def main(run: Run) -> str:
     devices = list({device.platform: device for device in (*jax.devices(), jax.devices("cpu")[0])}.values())
     rows = [row for device in devices for row in measure(device)]
-    with open(chosen.out / "gpu.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({**row, "value": f"{row['value']:.4g}"} for row in rows)
+    run.table(rows)
     for row in rows:
         print(f"{row['device']:24s} {row['what']:28s} {row['value']:10.4g} {row['unit']}")
-    if len(devices) == 1:
-        print("no accelerator is present: the CPU alone was measured")
+    rates = [f"{row['device']} {row['value']:.3g} {row['unit']}" for row in rows if row["unit"].startswith("M")]
+    return ", ".join(rates) + ("; no accelerator is present" if len(devices) == 1 else "")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    study(main, needs=())

@@ -11,7 +11,7 @@ were traced before, and the whole evaluation with its Planck functions), and, fo
 600 x 48 x 48 cells from six aspects, what parallel rays through its box save beside images of equal error.
 """
 
-import csv
+import argparse
 import json
 import math
 import os
@@ -20,7 +20,6 @@ import subprocess
 import sys
 import time
 from functools import partial
-from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -29,12 +28,9 @@ import numpy as np
 
 import jaxir
 from jaxir.geometry import fitted_camera, pixel_strata, view_frame
-from jaxir.imaging import Pass, entering, estimate_chunk, method_of, whole_image
-from jaxir.transport.evaluate import evaluate
-from jaxir.transport.march import march
-from jaxir.transport.paths import store_crossings, trace
-from jaxir.transport.radiometry import radiometry
-from studies import options
+from jaxir.imaging import Pass, entering, estimate_chunk, whole_image
+from jaxir.medium import march
+from studies._study import Run, study
 
 SETTING = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536"
 GRIDS = {  # cells, size [m], aspect (azimuth, elevation) [deg], optical depth across the smallest side
@@ -198,19 +194,19 @@ def measure_nodes() -> list[dict]:
     centre = jnp.full((tile.shape[0], 256, 2), 0.5)
     rays = camera.bundle(camera.screen(tile, centre).reshape(-1, 2), jnp.asarray(16.0)).rays()
     temperature = np.random.default_rng(0).uniform(400, 1400, shape)
-    scene = jaxir.Scene(plume=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.3)))
-    paths = store_crossings(scene, trace(scene, rays))
-    paths = eqx.tree_at(lambda p: p.crossings, paths, paths.crossings.trim(int(paths.crossings.longest())))
-    crossed, far = int((paths.crossings.length > 0).sum()), jnp.full(rays.count, jnp.inf)
+    scene = jaxir.Scene(plumes=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.3)))
+    paths = jaxir.store_route(scene, jaxir.trace(scene, rays))
+    paths = eqx.tree_at(lambda p: p.route, paths, paths.route.trim(int(paths.route.longest())))
+    crossed, far = int((paths.route.length > 0).sum()), jnp.full(rays.count, jnp.inf)
     runs = {}
     for count in NODES:
         edges = np.linspace(3.0, 5.0, count + 1)
         nodes = jaxir.gray_nodes([jaxir.Band(f"{k}", edges[k], edges[k + 1]) for k in range(count)])
-        gas = jax.jit(lambda scene, nodes=nodes: radiometry(scene, nodes))(scene).medium
+        gas = jax.jit(lambda scene, nodes=nodes: scene.on(nodes))(scene).medium
         dark = jnp.zeros((rays.count, count))
-        listed = jax.jit(lambda gas, dark, paths: gas.listed_leg(paths.crossings, dark))
-        marched = jax.jit(lambda gas, dark: gas.leg(rays, far, dark))
-        whole = jax.jit(lambda scene, paths, nodes=nodes: evaluate(radiometry(scene, nodes), paths))
+        listed = jax.jit(lambda gas, dark, paths: gas.radiance(paths.rays, far, dark, paths.route))
+        marched = jax.jit(lambda gas, dark: gas.radiance(rays, far, dark))
+        whole = jax.jit(lambda scene, paths, nodes=nodes: jaxir.evaluate(scene.on(nodes), paths))
         runs[f"list {count}"] = lambda run=listed, gas=gas, dark=dark: run(gas, dark, paths)
         runs[f"march {count}"] = lambda run=marched, gas=gas, dark=dark: run(gas, dark)
         runs[f"evaluation {count}"] = lambda run=whole: run(scene, paths)
@@ -235,30 +231,31 @@ def jet() -> jaxir.Scene:
     core = np.exp(-(y[:, None] ** 2 + z[None] ** 2)[None] / width[:, None, None] ** 2)
     core *= np.exp(-(x - low[0]) / 12)[:, None, None]
     grid = jaxir.Grid(low, spacing, shape)
-    return jaxir.Scene(plume=jaxir.GridPlume(grid, 300 + 900 * core, jaxir.GrayGas((0.8 * core)[..., None])))
+    return jaxir.Scene(plumes=jaxir.GridPlume(grid, 300 + 900 * core, jaxir.GrayGas((0.8 * core)[..., None])))
 
 
 def measure_views() -> list[dict]:
     """One row per route and number of rays: error over aspects, ms per aspect."""
     scene, views = jet(), ((90.0, 10.0), (110.0, 15.0), (135.0, -20.0), (160.0, 5.0), (20.0, 30.0), (60.0, -40.0))
-    optical = jax.jit(lambda scene: radiometry(scene, jaxir.gray_nodes((jaxir.MWIR,))))(scene)
-    gas, grid, rows = optical.medium, scene.plume.grid, []
+    lit = jax.jit(lambda scene: scene.on(jaxir.gray_nodes((jaxir.MWIR,))))(scene)
+    gas, corners, rows = lit.medium, scene.extent(), []
+    low, high = corners.min(axis=0), corners.max(axis=0)
 
     @partial(jax.jit, static_argnums=0)
     def box(count, azimuth, elevation):
-        rays, area = entering(grid, view_frame(azimuth, elevation)[2], count)
-        seen = gas.leg(rays, jnp.full(rays.count, jnp.inf), jnp.zeros((rays.count, 1)))
+        rays, area = entering(low, high, view_frame(azimuth, elevation)[2], count)
+        seen = gas.radiance(rays, jnp.full(rays.count, jnp.inf), jnp.zeros((rays.count, 1)))
         return jnp.sum(seen[:, 0]) * area
 
     def fitted(side, azimuth, elevation):
-        return image(fitted_camera(azimuth, elevation, grid.corners(), (side, side)))
+        return image(fitted_camera(azimuth, elevation, corners, (side, side)))
 
     def square(side, azimuth, elevation):
-        camera = fitted_camera(azimuth, elevation, grid.corners(), (side, side))
+        camera = fitted_camera(azimuth, elevation, corners, (side, side))
         return image(eqx.tree_at(lambda c: c.pixel, camera, jnp.full(2, camera.pixel.max())))
 
     def image(camera):
-        taken = Pass(optical, camera, jax.random.key(0), pixel_strata(2), method_of(scene, None, None, jaxir.CellSum()))
+        taken = Pass(lit, camera, jax.random.key(0), pixel_strata(2), jaxir.Method().resolved(scene))
         parts = [estimate_chunk(taken, chunk) for chunk in taken.chunks()]
         return whole_image(taken, jax.tree.map(lambda *each: jnp.stack(each), *parts)).radiant_intensity()[0]
 
@@ -296,42 +293,29 @@ def saved(rows: list[dict]) -> tuple[dict, list[float]]:
     return best, longer
 
 
-def write(path: Path, rows: list[dict]) -> None:
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-
-
-def main(argv: list[str]) -> None:
-    parser = options("march_speed", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--grids", nargs="+", choices=list(GRIDS), default=list(GRIDS))
-    parser.add_argument("--out", type=Path, default=Path("studies/out/march_speed"), help="folder (%(default)s)")
-    parser.add_argument("--here", action="store_true", help="only this process, as it is; prints JSON")
-    chosen = parser.parse_args(argv)
-    if chosen.here:
-        print(json.dumps(measure(chosen.grids)))
-        return
-    chosen.out.mkdir(parents=True, exist_ok=True)
+
+
+def main(run: Run) -> str:
+    chosen = run.options
     rows = []
     for setting in ("", SETTING):
         environment = {**os.environ, "XLA_FLAGS": setting}
-        command = [sys.executable, "-m", "studies.march_speed", "--here", "--grids", *chosen.grids]
+        code = f"import json; from studies.march_speed import measure; print(json.dumps(measure({chosen.grids!r})))"
         if hasattr(os, "sched_setaffinity"):
-            core = str(max(os.sched_getaffinity(0)))
-            command = [sys.executable, "-c", f"import os, sys; os.sched_setaffinity(0, {{{core}}}); "
-                       "from studies.march_speed import main; main(sys.argv[1:])", *command[3:]]  # fmt: skip
-        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+            code = f"import os; os.sched_setaffinity(0, {{{max(os.sched_getaffinity(0))}}}); {code}"
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
         if done.returncode:
             raise ValueError(done.stderr.strip().splitlines()[-1])
         name = "65536" if setting else "default"
         rows += [{"loop_threshold": name, **row} for row in json.loads(done.stdout.splitlines()[-1])]
-    write(chosen.out / "march_speed.csv", rows)
+    run.table(rows)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     nodes, views = measure_nodes(), measure_views()
-    write(chosen.out / "march_nodes.csv", nodes)
-    write(chosen.out / "march_views.csv", views)
+    run.table(nodes, "march_nodes")
+    run.table(views, "march_views")
     print("| loop threshold | grid | native | value | value + gradient | value / native | (value + gradient) / value |")
     print("|---|---|---|---|---|---|---|")
     for row in rows:
@@ -349,18 +333,14 @@ def main(argv: list[str]) -> None:
         print(f"{row['route']} {row['rays_or_side']}: error {row['error']:.1e}, {row['ms']:.2f} ms an aspect")
     worst = [max(row[key] for row in rows) for key in ("value_over_native", "gradient_over_value")]
     best, longer = saved(views)
-    print(
+    return (
         f"ns per cell crossed on one core: the march takes at most {worst[0]:.2f} x a native walk, with the gradient "
         f"to all cells at most {worst[1]:.1f} x that; {nodes[-1]['nodes']} nodes cost "
         f"{nodes[-1]['list_over_one_node']:.0f} x one (lists), {nodes[-1]['march_over_one_node']:.0f} x (march); "
         f"a jet's intensity to {best['error']:.1e} takes {best['ms']:.1f} ms by rays through its box, "
-        f"{longer[0]:.0f} x less than the image of its outline, {longer[1]:.0f} x less than one of square pixels; "
-        f"see {chosen.out}/"
+        f"{longer[0]:.0f} x less than the image of its outline, {longer[1]:.0f} x less than one of square pixels"
     )
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except ValueError as error:
-        sys.exit(f"march_speed: {error}")
+    study(main, options, needs=("numba",))

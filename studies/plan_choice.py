@@ -1,30 +1,24 @@
-"""How good is the plan's choice? Its time against the best choice by hand, over a grid of scenes.
+"""How good is the plan's choice? Its time against the best choice by hand, over a grid of scenes."""
 
-python -m studies.plan_choice
-"""
-
-import csv
 import statistics
 import time
 
 import jax
-import matplotlib.pyplot as plt
 import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from studies import options
-from studies.charts import out_folder
+from studies._study import Run, study, subplots
 
 SAMPLES = (2, 4, 8, 18, 32, 72, 128, 288)
 REPEATS = 5
 TOLERANCES = (1e-2, 2e-3, 7e-4)
 PATHS = (3e-2, 1e-2)  # of scenes in which paths are sampled from scattering to scattering
 WAYS = {
-    "light": jaxir.Reflection(jaxir.LightSampling(1)),
-    "mis": jaxir.Reflection(jaxir.MultipleImportance(1, 1)),
-    "light 16": jaxir.Reflection(jaxir.LightSampling(16), sampler=jaxir.Sobol()),
-    "mis 8 + 8": jaxir.Reflection(jaxir.MultipleImportance(8, 8), sampler=jaxir.Sobol()),
+    "light": jaxir.Method(jaxir.DirectSampling(1, 0)),
+    "mis": jaxir.Method(jaxir.DirectSampling(1, 1)),
+    "light 16": jaxir.Method(jaxir.DirectSampling(16, 0), sampler=jaxir.Sobol()),
+    "mis 8 + 8": jaxir.Method(jaxir.DirectSampling(8, 8), sampler=jaxir.Sobol()),
 }
 
 
@@ -58,18 +52,18 @@ def scenes():
         yield f"skin, {name}", jaxir.Scene(skin(BODY, 320.0)), none, pixel
         yield f"skin, sun, {name}", jaxir.Scene(skin(BODY, 280.0), sources=(SUN,)), none, pixel
         for absorption in (1e-3, 0.3, 30.0):
-            yield f"plume {absorption}, {name}", jaxir.Scene(plume=plume(absorption)), none, pixel
+            yield f"plume {absorption}, {name}", jaxir.Scene(plumes=plume(absorption)), none, pixel
         for absorption in (1e-3, 3.0):
             whole = jaxir.Scene(skin(BODY, 320.0), plume(absorption), (SUN,))
             yield f"skin, plume {absorption}, sun, {name}", whole, none, pixel
         soot = jaxir.GrayParticles(0.3, 0.6, jaxir.HenyeyGreenstein(0.5))
         sooty = jaxir.GridPlume(GRID, 1200.0, jaxir.GrayGas(0.05), soot)
-        yield f"particles, sun, {name}", jaxir.Scene(plume=sooty, sources=(SUN,)), none, pixel
+        yield f"particles, sun, {name}", jaxir.Scene(plumes=sooty, sources=(SUN,)), none, pixel
     for radius, temperature in ((0.2, 3.0), (1.5, 3.0), (0.5, 300.0)):
         lamp = jaxir.SphereSource((4.0, 3.0, 0.0), radius, 100.0)
         yield f"lamp {radius}, {temperature} K", jaxir.Scene(skin(BODY, temperature), sources=(lamp,)), WAYS, wide
     disc = jaxir.DiscSource((3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 1.0, 100.0)
-    forms = {"closed form": jaxir.Reflection(jaxir.ClosedForm()), "light": WAYS["light"]}
+    forms = {"closed form": jaxir.Method(jaxir.ClosedForm()), "light": WAYS["light"]}
     for temperature in (3.0, 330.0):
         scene = jaxir.Scene(skin(SQUARE, temperature), sources=(disc,))
         yield f"disc, {temperature} K", scene, forms, 0.03
@@ -79,9 +73,9 @@ def camera(pixel):
     return jaxir.orthographic_camera(40.0, 15.0, pixel, (96, 96), target=(-1.0, 0.0, 0.0))
 
 
-def look(scene, eye, samples, reflection, key=0):
+def look(scene, eye, samples, method, key=0):
     return jax.block_until_ready(
-        jaxir.render(scene, eye, jaxir.LWIR, samples=samples, reflection=reflection, key=jax.random.key(key))
+        jaxir.render(scene, eye, jaxir.LWIR, samples=samples, method=method, key=jax.random.key(key))
     )
 
 
@@ -91,30 +85,30 @@ def relative_error(image):
 
 def by_hand(scene, eye, ways, rtol):
     """The fewest samples of each way that meet the tolerance in two of three draws: (way, samples)."""
-    for name, reflection in ways.items():
+    for name, method in ways.items():
         for samples in SAMPLES:
-            errors = [relative_error(look(scene, eye, samples, reflection, key)) for key in range(3)]
+            errors = [relative_error(look(scene, eye, samples, method, key)) for key in range(3)]
             if statistics.median(errors) <= rtol:
                 yield name, samples
                 break
 
 
 def planned(scene, eye, rtol):
-    """What the plan computes: (reflection, samples) of the pass, and of another one if the first did not do."""
+    """What the plan computes: (method, samples) of the pass, and of another one if the first did not do."""
     found = jaxir.plan(scene, eye, jaxir.LWIR, rtol, key=jax.random.fold_in(jax.random.key(0), 0))  # that of render
-    passes = [(found.method.reflection, found.samples)]
-    reached = relative_error(look(scene, eye, found.samples, found.method.reflection))
+    passes = [(found.method, found.samples)]
+    reached = relative_error(look(scene, eye, found.samples, found.method))
     if reached > rtol:
         image = jaxir.render(scene, eye, jaxir.LWIR, rtol=rtol)
-        passes.append((found.method.reflection, max(2, int(image.samples) - found.samples)))
+        passes.append((found.method, max(2, int(image.samples) - found.samples)))
     return found, passes
 
 
 def seconds(scene, eye, passes):
     """CPU seconds and seconds."""
     start = time.process_time(), time.perf_counter()
-    for number, (reflection, samples) in enumerate(passes):
-        look(scene, eye, samples, reflection, number)
+    for number, (method, samples) in enumerate(passes):
+        look(scene, eye, samples, method, number)
     return time.process_time() - start[0], time.perf_counter() - start[1]
 
 
@@ -144,26 +138,19 @@ def compare(name, scene, ways, pixel, rtol):
     }
 
 
-def main():
+def main(run: Run) -> str:
     grid = [(scene, rtol) for scene in scenes() for rtol in (PATHS if "particles" in scene[0] else TOLERANCES)]
-    out = out_folder("plan_choice")
     rows = []
-    with open(out / "plan_choice.csv", "w", newline="") as stream:
-        for scene, rtol in tqdm(grid):
-            row = compare(*scene, rtol)
-            jax.clear_caches()  # hundreds of compiled programs would exhaust what one process may map
-            if row is None:
-                continue
-            writer = csv.DictWriter(stream, row)
-            if not rows:
-                writer.writeheader()
+    for scene, rtol in tqdm(grid):
+        row = compare(*scene, rtol)
+        jax.clear_caches()  # hundreds of compiled programs would exhaust what one process may map
+        if row is not None:
             rows.append(row)
-            writer.writerow({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()})
-            stream.flush()  # a run that is killed keeps its rows
+            run.table(rows)  # a run that is killed keeps its rows
     ratios = np.sort([row["ratio"] for row in rows])
     predicted = np.array([row["predicted_over_elapsed"] for row in rows])
     good = np.mean(ratios <= 1.3)
-    figure, axis = plt.subplots(figsize=(6, 4), constrained_layout=True)
+    figure, axis = subplots(figsize=(6, 4))
     axis.step(ratios, np.arange(1, len(ratios) + 1) / len(ratios), where="post")
     axis.axvline(1.3, color="0.6", linestyle="--")
     axis.set(
@@ -172,9 +159,9 @@ def main():
         ylabel="share of scenes",
         title=f"{len(rows)} scenes: {100 * good:.0f} % within 1.3",
     )
-    figure.savefig(out / "plan_choice.png", dpi=110)
+    run.chart(figure, dpi=110)
     low, middle, high = np.quantile(predicted, (0.1, 0.5, 0.9))
-    print(
+    return (
         f"{len(rows)} scenes: within 1.3 times the best choice by hand on {100 * good:.0f} %, median "
         f"{np.median(ratios):.2f}, worst {ratios[-1]:.2f}; predicted over measured seconds {middle:.2f} "
         f"({low:.2f} to {high:.2f} for 80 %)"
@@ -182,5 +169,4 @@ def main():
 
 
 if __name__ == "__main__":
-    options("plan_choice", __doc__).parse_args()
-    main()
+    study(main)

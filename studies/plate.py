@@ -4,19 +4,15 @@ A plate of 1 m2: at 400 K with emissivity .5 (3-5 um), I = eps A B cos(theta); c
 source of irradiance 100 W m-2, I = rho E cos(theta_i) cos(theta_o) A / pi. The paper's errors are .048 % and .023 %.
 """
 
-import csv
-import sys
-from pathlib import Path
-
-import matplotlib.pyplot as plt
 import numpy as np
 import scipy.constants as si
 from scipy.integrate import quad
 
 import jaxir
-from studies import charts, options  # noqa: F401  (charts chooses the backend)
+from studies._study import Run, study, subplots
 
 ANGLES = np.arange(0.0, 86.0, 5.0)
+COLUMNS = ("case", "angle_deg", "closed_form_W_per_sr", "by_rays_W_per_sr", "by_faces_W_per_sr")
 PAPER = {"emitting plate": 4.8e-4, "plate under a parallel source": 2.3e-4}
 
 
@@ -44,12 +40,8 @@ def cases() -> dict[str, tuple[jaxir.Scene, np.ndarray]]:
     }
 
 
-def main(argv: list[str]) -> None:
-    parser = options("plate", __doc__)
-    parser.add_argument("--out", type=Path, default=Path("studies/out/plate"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
+def main(run: Run) -> str:
+    figure, axes = subplots(1, 2, figsize=(11, 4.4))
     rows, said = [], []
     for axis, (name, (scene, expected)) in zip(axes, cases().items(), strict=True):
         views = np.stack([ANGLES, np.zeros_like(ANGLES)], axis=1)
@@ -65,22 +57,15 @@ def main(argv: list[str]) -> None:
         axis.grid(alpha=0.3, which="both")
         axis.legend()
         for angle, want, a, b in zip(ANGLES, expected, traced, summed, strict=True):
-            rows.append([name, f"{angle:g}", f"{want:.9g}", f"{a:.9g}", f"{b:.9g}"])
+            rows.append(dict(zip(COLUMNS, (name, angle, want, a, b), strict=True)))
         worst = {label: error.max() for label, error in errors.items()}
         said.append(
             f"{name} {worst['by rays']:.1e} by rays, {worst['by faces']:.1e} by faces (paper {PAPER[name]:.1e})"
         )
-    figure.savefig(chosen.out / "plate.png", dpi=90)
-    plt.close(figure)
-    with (chosen.out / "plate.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["case", "angle_deg", "closed_form_W_per_sr", "by_rays_W_per_sr", "by_faces_W_per_sr"])
-        writer.writerows(rows)
-    print(f"largest relative error from 0 to 85 deg: {'; '.join(said)}; see {chosen.out}/")
+    run.chart(figure, dpi=90)
+    run.table(rows, digits=9)
+    return f"largest relative error from 0 to 85 deg: {'; '.join(said)}"
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except ValueError as error:
-        sys.exit(f"plate: {error}")
+    study(main)

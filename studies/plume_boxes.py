@@ -5,22 +5,16 @@ Yu et al. (10.3788/IRLA20200241), section 2.2: a thick box (2 x 2 x 2 m, absorpt
 rays cross the silhouette in the middle of `--columns` strips; the closed form is integrated over the silhouette.
 """
 
-import csv
-import sys
+import argparse
 import time
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import matplotlib
 import numpy as np
 
 import jaxir
 from jaxir.geometry import Rays, crossings
-from studies import options
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+from studies._study import Run, study, subplots
 
 BOXES = {"thick": (2.0, 2.0, 2.0, 10.0, 10.0), "thin": (2.0, 0.5, 2.0, 0.01, 1e4)}  # width, depth, height, kappa, B
 ANGLES = np.arange(0.0, 81.0, 10.0)
@@ -52,12 +46,12 @@ def mean(path, lists, mu, j, behind, keys):
     return jax.lax.scan(one, jnp.zeros_like(behind), keys)[0][:, 0] / keys.shape[0]
 
 
-def main(argv: list[str]) -> None:
-    parser = options("plume_boxes", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--columns", type=int, default=500, help="strips across the silhouette (%(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("studies/out/plume_boxes"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
-    chosen.out.mkdir(parents=True, exist_ok=True)
+
+
+def main(run: Run) -> str:
+    chosen = run.options
     rows = []
     for box, (width, depth, height, kappa, source) in BOXES.items():
         grid = jaxir.Grid((-depth / 2, -width / 2, 0.0), (depth / 4, width / 4, height), (4, 4, 1))
@@ -94,11 +88,8 @@ def main(argv: list[str]) -> None:
                             "seconds": seconds,
                         }
                     )
-    with open(chosen.out / "plume_boxes.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    figure, axes = plt.subplots(2, 3, figsize=(13, 7), layout="constrained")
+    run.table(rows, digits=6)
+    figure, axes = subplots(2, 3, figsize=(13, 7))
     for line, box in enumerate(BOXES):
         for colour, name in enumerate(ESTIMATORS):
             own = [r for r in rows if (r["box"], r["estimator"]) == (box, name)]
@@ -114,8 +105,7 @@ def main(argv: list[str]) -> None:
     for axis, label in zip(axes[1], ("aspect [deg]", "rays per pixel", "seconds"), strict=True):
         axis.set_xlabel(label)
     axes[0, 0].legend()
-    figure.savefig(chosen.out / "plume_boxes.png", dpi=80)
-    plt.close(figure)
+    run.chart(figure, dpi=80)
 
     def worst(name: str, box: str) -> float:
         return max(r["expected_error_percent"] for r in rows if (r["estimator"], r["box"], r["rays"]) == (name, box, 1))
@@ -123,11 +113,11 @@ def main(argv: list[str]) -> None:
     sampled = list(ESTIMATORS)[:3]
     said = "; ".join(f"{box} box: " + ", ".join(f"{n} {worst(n, box):.2g} %" for n in sampled) for box in BOXES)
     sums = max(abs(r["error_percent"]) for r in rows if r["estimator"] == "exact sum")
-    print(
+    return (
         f"expected error at one ray a pixel, worst aspect: {said}; the exact sum errs by {sums:.1e} % (the strips' "
-        f"midpoint rule); see {chosen.out}/"
+        f"midpoint rule)"
     )
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    study(main, options)

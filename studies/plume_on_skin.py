@@ -6,27 +6,22 @@ it. The scatter of what the skin reflects, which is the image less that without 
 the whole intensity, over time, says what each is worth. Methods take turns, so that a busy machine disturbs all alike.
 """
 
-import csv
 import time
 
 import jax
-import matplotlib
 import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir import BrdfSampling, PlumeLight, Reflection
-from studies import aircraft, options
-from studies.charts import out_folder
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+from jaxir import DirectSampling, Method, PlumeLight
+from studies import aircraft
+from studies._study import Run, study, subplots
 
 KEYS = 16
 METHODS = {
-    "met by a bounce": Reflection(BrdfSampling(), bounces=1),
-    "drawn, and a bounce": Reflection(bounces=1, plume=PlumeLight()),
-    "drawn": Reflection(plume=PlumeLight()),
+    "met by a bounce": Method(DirectSampling(0, 1), bounces=1),
+    "drawn, and a bounce": Method(bounces=1, plume_light=PlumeLight()),
+    "drawn": Method(plume_light=PlumeLight()),
 }
 GAS = jaxir.GrayGas(1.0)
 SQUARE = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
@@ -57,9 +52,9 @@ def cases() -> dict[str, tuple[jaxir.Scene, jaxir.Camera]]:
 def measured(scene: jaxir.Scene, camera: jaxir.Camera, name: str) -> list[dict]:
     """Scatter of intensities over keys and seconds of each image, by every method."""
 
-    def intensity(key: int, reflection: Reflection | None) -> tuple[float, float]:
+    def intensity(key: int, method: Method | None) -> tuple[float, float]:
         began = time.perf_counter()
-        image = jaxir.render(scene, camera, jaxir.MWIR, samples=2, reflection=reflection, key=jax.random.key(key))
+        image = jaxir.render(scene, camera, jaxir.MWIR, samples=2, method=method, key=jax.random.key(key))
         return float(image.radiant_intensity()[0]), time.perf_counter() - began
 
     for method in (None, *METHODS.values()):
@@ -93,15 +88,11 @@ def measured(scene: jaxir.Scene, camera: jaxir.Camera, name: str) -> list[dict]:
     return rows
 
 
-def main() -> None:
-    out = out_folder("plume_on_skin")
+def main(run: Run) -> str:
     rows = [row for name, case in cases().items() for row in measured(*case, name)]
-    with open(out / "plume_on_skin.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    run.table(rows)
     names = list(dict.fromkeys(row["scene"] for row in rows))
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4), sharey=True, layout="constrained")
+    figure, axes = subplots(1, 2, figsize=(11, 4), sharey=True)
     for axis, part, title in zip(
         axes, ("reflected", "intensity"), ("what the skin reflects", "the whole intensity"), strict=True
     ):
@@ -113,16 +104,15 @@ def main() -> None:
         axis.set_xticks(range(len(names)), names)
     axes[0].set_ylabel("speed to equal error, beside bounces")
     axes[0].legend()
-    figure.savefig(out / "plume_on_skin.png", dpi=90)
+    run.chart(figure, dpi=90)
     said = "; ".join(
         f"{row['scene']} {row['gain_reflected']:.2g} times ({row['gain_intensity']:.2g} for the whole intensity, "
         f"of which {100 * row['share_of_intensity']:.2g} % is reflected)"
         for row in rows
         if row["method"] == "drawn, and a bounce"
     )
-    print(f"as fast to equal error, beside bounces alone: {said}; see {out}/")
+    return f"as fast to equal error, beside bounces alone: {said}"
 
 
 if __name__ == "__main__":
-    options("plume_on_skin", __doc__).parse_args()
-    main()
+    study(main)

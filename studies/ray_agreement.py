@@ -7,10 +7,8 @@ shared vertices and edges of a convex body, over scales, distances and slopes do
 each must enter once and leave once. Writes two CSVs.
 """
 
-import csv
+import argparse
 import itertools
-import sys
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -20,7 +18,7 @@ from tqdm import tqdm
 import jaxir
 from jaxir.geometry import Bundle, Rays
 from jaxir.geometry.search import closest_hit, orthonormal
-from studies import options
+from studies._study import Run, study
 from studies.ray_throughput import aircraft, embree, sphere
 
 EXCUSED = 1e-6  # distance from an edge, relative to the face, within which rounding decides
@@ -223,31 +221,30 @@ def seam_rows(count: int) -> list[dict[str, Any]]:
     return rows
 
 
-def write(path: Path, rows: list[dict[str, Any]]) -> dict[str, int]:
-    """Write rows as CSV; the sums of their whole numbers."""
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    return {key: sum(row[key] for row in rows) for key, value in rows[0].items() if type(value) is int}
+def totals(rows: list[dict[str, Any]]) -> str:
+    """The sums of the columns of whole numbers."""
+    sums = {key: sum(row[key] for row in rows) for key, value in rows[0].items() if type(value) is int}
+    return ", ".join(f"{key} {value}" for key, value in sums.items())
 
 
-def main(argv: list[str]) -> None:
-    parser = options("ray_agreement", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rays", type=int, default=1_000_000, help="through each mesh (%(default)s)")
     parser.add_argument(
         "--seams", type=int, default=24_000_000, help="at edges and vertices; half are clear (%(default)s)"
     )
-    parser.add_argument("--out", type=Path, default=Path("studies/out/ray_agreement"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
-    chosen.out.mkdir(parents=True, exist_ok=True)
+
+
+def main(run: Run) -> str:
+    chosen = run.options
     rows = [row for name, mesh in meshes().items() if (row := compare(name, *mesh, chosen.rays)) is not None]
+    said = []
     if rows:
-        total = write(chosen.out / "ray_agreement.csv", rows)
-        print(f"{len(rows)} meshes: " + ", ".join(f"{key} {value}" for key, value in total.items()))
-    total = write(chosen.out / "ray_seams.csv", seam_rows(chosen.seams))
-    print("seams: " + ", ".join(f"{key} {value}" for key, value in total.items()))
+        run.table(rows, digits=None)
+        said.append(f"{len(rows)} meshes: {totals(rows)}")
+    rows = seam_rows(chosen.seams)
+    run.table(rows, "ray_seams", digits=None)
+    return "; ".join([*said, f"seams: {totals(rows)}"])
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    study(main, options, needs=())

@@ -6,13 +6,11 @@ memory and the gain of a second core are measured in processes of their own. Wri
 """
 
 import argparse
-import csv
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +20,7 @@ import numpy as np
 import jaxir
 from jaxir.geometry import Bundle, Rays
 from jaxir.geometry.search import any_hit, closest_hit, occluded
-from studies import options
+from studies._study import Run, study, subplots
 from studies.aircraft import generic_aircraft
 
 SUN = np.array([0.3, 0.4, 0.8]) / np.linalg.norm([0.3, 0.4, 0.8])
@@ -208,16 +206,11 @@ def table(bodies: list, pixels: int, loose: int, repeat: int, peers: bool) -> li
     return rows
 
 
-def chart(path: Path, rows: list[dict[str, Any]]) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+def chart(rows: list[dict[str, Any]]) -> Any:
     questions = list(dict.fromkeys(row["question"] for row in rows))
     bodies = list(dict.fromkeys(row["body"] for row in rows))
     tracers = list(dict.fromkeys(row["tracer"] for row in rows))
-    figure, axes = plt.subplots(2, 3, figsize=(10, 6), sharex=True, layout="constrained")
+    figure, axes = subplots(2, 3, figsize=(10, 6), sharex=True)
     for axis, question in zip(axes.ravel(), questions, strict=False):
         for tracer in tracers:
             for body, style in zip(bodies, ("-", "--"), strict=False):
@@ -232,8 +225,7 @@ def chart(path: Path, rows: list[dict[str, Any]]) -> None:
     for axis in axes[:, 0]:
         axis.set_ylabel("Mrays/s, one core")
     axes[0, 0].legend(fontsize=7)
-    figure.savefig(path, dpi=75)
-    plt.close(figure)
+    return figure
 
 
 def peak_memory(faces: float, pixels: int) -> None:
@@ -288,18 +280,14 @@ def aside(call: str, **variables: str) -> list[float]:
     return [float(word) for word in done.stdout.split()]
 
 
-def arguments(argv: list[str]) -> argparse.Namespace:
-    parser = options("ray_throughput", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="small meshes and pictures, a minute or less")
     parser.add_argument("--no-peers", action="store_true", help="measure jaxir alone")
     parser.add_argument("--repeat", type=int, default=5, help="repetitions of which the median counts (%(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("studies/out/ray_throughput"), help="folder (%(default)s)")
-    return parser.parse_args(argv)
 
 
-def main(argv: list[str]) -> None:
-    chosen = arguments(argv)
-    chosen.out.mkdir(parents=True, exist_ok=True)
+def main(run: Run) -> str:
+    chosen = run.options
     pixels, loose = (250, 20_000) if chosen.quick else (1000, 200_000)
     memory_faces, memory_pixels = (2e4, 250) if chosen.quick else (1e6, 1000)
     count, rays, added, _ = aside(f"peak_memory({memory_faces}, {memory_pixels})")
@@ -311,11 +299,8 @@ def main(argv: list[str]) -> None:
     bodies = [("aircraft", aircraft(size), 17.0) for size in sizes]
     bodies += [("sphere", sphere(level), 2.2) for level in levels]
     rows = table(bodies, pixels, loose, chosen.repeat, not chosen.no_peers)
-    with open(chosen.out / "throughput.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    chart(chosen.out / "throughput.png", rows)
+    run.table(rows, digits=None)
+    run.chart(chart(rows), dpi=75)
     size = min((row["faces"] for row in rows), key=lambda faces: abs(faces - 10_000))
     mine = [row for row in rows if row["tracer"] == "jaxir" and row["body"] == "aircraft" and row["faces"] == size]
     mine = mine or [row for row in rows if row["tracer"] == "jaxir" and row["faces"] == size]
@@ -323,14 +308,11 @@ def main(argv: list[str]) -> None:
         f"{row['question']} {row['Mrays/s']:.3g}" + (f" ({row['of Embree']:.2g} x Embree)" if row["of Embree"] else "")
         for row in mine
     )
-    print(
+    return (
         f"{size} faces [Mrays/s]: {said}; two cores {one / two:.2g} x one; "
-        f"{count:.0f} faces and {rays:.0f} rays add {added / 1e9:.2f} GB; {jaxir.native_loops()}; see {chosen.out}/"
+        f"{count:.0f} faces and {rays:.0f} rays add {added / 1e9:.2f} GB; {jaxir.native_loops()}"
     )
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except ValueError as error:
-        sys.exit(f"ray_throughput: {error}")
+    study(main, options)

@@ -5,22 +5,20 @@ chunk, which bounds a render whatever the image (64 tiles of 256 rays). Exponent
 points of each curve. `--full` goes to 1e6 triangles and 6e7 cells.
 """
 
-import csv
-import sys
+import argparse
 import time
-from pathlib import Path
+from typing import Any
 
 import jax
-import matplotlib.pyplot as plt
 import numpy as np
 from tqdm import tqdm
 
 import jaxir
 from jaxir.geometry import fitted_camera, pixel_strata
-from jaxir.imaging import Pass, compiled_radiometry, estimate_chunk, method_of
-from studies import options
+from jaxir.imaging import Pass, estimate_chunk
+from jaxir.scene import compiled_on_nodes
+from studies._study import Run, study, subplots
 from studies.aircraft import generic_aircraft
-from studies.charts import out_folder
 
 PIXELS, ROUNDS = 256, 3
 SUN = jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0)
@@ -44,11 +42,11 @@ def bands(count: int) -> jaxir.Nodes:
     return jaxir.gray_nodes([jaxir.Band(f"{k}", edges[k], edges[k + 1]) for k in range(count)])
 
 
-def one_pass(scene, nodes, samples=2, reflection=None) -> tuple[float, float]:
+def one_pass(scene, nodes, samples=2, bounces=0) -> tuple[float, float]:
     """Seconds of all chunks, and the temporary memory of one [MB]."""
     camera = fitted_camera(40.0, 20.0, scene.extent(), (PIXELS, PIXELS))
-    method = method_of(scene, reflection, None, jaxir.CellSum())
-    whole = Pass(compiled_radiometry(scene, nodes), camera, jax.random.key(0), pixel_strata(samples), method)
+    method = jaxir.Method(jaxir.DirectSampling(1, 0), bounces).resolved(scene)
+    whole = Pass(compiled_on_nodes(scene, nodes), camera, jax.random.key(0), pixel_strata(samples), method)
     chunks = whole.chunks()
     compiled = estimate_chunk.lower(whole, chunks[0]).compile()
     memory = compiled.compiled.memory_analysis().temp_size_in_bytes / 1e6
@@ -87,21 +85,20 @@ def axes(full: bool):
         return scene.skin.mesh.count, *one_pass(scene, gray)
 
     def bounces(count):
-        reflection = jaxir.Reflection(jaxir.LightSampling(1), bounces=count)
-        return count + 1, *one_pass(SHARED["body"], gray, reflection=reflection)
+        return count + 1, *one_pass(SHARED["body"], gray, bounces=count)
 
     yield "triangles", details, triangles
-    yield "cells", sizes, lambda n: (round(n ** (1 / 3)) ** 3, *one_pass(jaxir.Scene(plume=gas(n)), gray))
+    yield "cells", sizes, lambda n: (round(n ** (1 / 3)) ** 3, *one_pass(jaxir.Scene(plumes=gas(n)), gray))
     yield "nodes", (1, 4, 16, 64, *((256,) if full else ())), lambda n: (n, *one_pass(SHARED["gas"], bands(n)))
     yield "legs (bounces + 1)", (0, 1, 3), bounces
     yield "rays per pixel", (2, 8, 32), lambda n: (n, *one_pass(SHARED["body"], gray, n))
     yield "views", (2, 8, 32), lambda n: (n, *sweep(n))
 
 
-def chart(rows: list[dict], out: Path) -> list[str]:
+def chart(rows: list[dict]) -> tuple[Any, list[str]]:
     """Time and memory along every axis, with the exponents between the last two steps."""
     names = list(dict.fromkeys(row["axis"] for row in rows))
-    figure, panels = plt.subplots(2, 3, figsize=(13, 7), layout="constrained")
+    figure, panels = subplots(2, 3, figsize=(13, 7))
     said = []
     for panel, name in zip(panels.ravel(), names, strict=True):
         own = [row for row in rows if row["axis"] == name]
@@ -120,32 +117,29 @@ def chart(rows: list[dict], out: Path) -> list[str]:
             panel.set_xticks(work, [f"{w:.0f}" for w in work])
             panel.xaxis.minorticks_off()
         panel.legend()
-    figure.savefig(out / "scaling.png", dpi=90)
-    plt.close(figure)
-    return said
+    return figure, said
 
 
-def main(argv: list[str]) -> None:
-    parser = options("scaling", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--full", action="store_true", help="1e6 triangles, 6e7 cells, 256 nodes too")
-    parser.add_argument("--out", type=Path, default=out_folder("scaling"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
+
+
+def main(run: Run) -> str:
+    chosen = run.options
     SHARED["body"] = jaxir.Scene(body(1.0), sources=(SUN,))
-    SHARED["gas"] = jaxir.Scene(plume=gas(30_000))
+    SHARED["gas"] = jaxir.Scene(plumes=gas(30_000))
     rows = []
     for name, values, measured in axes(chosen.full):
         for value in tqdm(values, desc=name, leave=False):
             work, seconds, memory = measured(value)
             rows.append({"axis": name, "work": work, "seconds": seconds, "chunk_megabytes": memory})
             jax.clear_caches()
-    with open(chosen.out / "scaling.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    said = chart(rows, chosen.out)
+    run.table(rows)
+    figure, said = chart(rows)
+    run.chart(figure, dpi=90)
     most = max(row["chunk_megabytes"] for row in rows if np.isfinite(row["chunk_megabytes"]))
-    print(f"time grows with the power of {', '.join(said)}; a chunk needs {most:.0f} MB at most; see {chosen.out}/")
+    return f"time grows with the power of {', '.join(said)}; a chunk needs {most:.0f} MB at most"
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    study(main, options, published="--full")

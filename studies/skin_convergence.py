@@ -6,24 +6,19 @@ and truncated to 8 bits, as images on a screen are. Errors are relative root mea
 closed form.
 """
 
-import csv
-import sys
+import argparse
 import time
-from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 from tqdm import tqdm
 
 import jaxir
 from jaxir.geometry import Rays
-from jaxir.transport.evaluate import evaluate
-from jaxir.transport.paths import trace
-from jaxir.transport.radiometry import radiometry
-from studies import charts, options  # noqa: F401  (charts chooses the backend)
+from studies._study import Run, study, subplots
 
 NODES = jaxir.gray_nodes((jaxir.MWIR,))
 HEIGHT, OFFSET, RADIUS, RADIANCE, REFLECTANCE = 1.8, 1.2, 1.0, 100.0, 0.5
@@ -48,13 +43,13 @@ def closed_form(points: np.ndarray) -> np.ndarray:
 
 
 @eqx.filter_jit
-def radiance(world: jaxir.Scene, rays: Rays, method: jaxir.Reflection, key: jax.Array) -> jax.Array:
-    return evaluate(radiometry(world, NODES), trace(world, rays, method, key), method)[:, 0]
+def radiance(world: jaxir.Scene, rays: Rays, method: jaxir.Method, key: jax.Array) -> jax.Array:
+    return jaxir.evaluate(world.on(NODES), jaxir.trace(world, rays, method, key))[:, 0]
 
 
-def image(world: jaxir.Scene, points: np.ndarray, method: jaxir.Reflection, key: jax.Array) -> tuple[np.ndarray, float]:
+def image(world: jaxir.Scene, points: np.ndarray, method: jaxir.Method, key: jax.Array) -> tuple[np.ndarray, float]:
     """Radiance at every point, and CPU seconds without compilation."""
-    size = int(np.clip(SAMPLES_AT_ONCE // max(sum(method.direct.counts()), 1), 16, len(points)))
+    size = int(np.clip(SAMPLES_AT_ONCE // max(sum(method.counts), 1), 16, len(points)))
     parts, seconds = [], 0.0
     for begin in range(0, len(points), size):
         own = points[begin : begin + size]
@@ -78,14 +73,14 @@ def quantised(value: np.ndarray) -> np.ndarray:
     return np.floor(np.minimum(value, 12.75) / 12.75 * 255) / 255 * 12.75
 
 
-def methods(count: int, even: bool) -> dict[str, jaxir.Reflection]:
-    both = jaxir.MultipleImportance(count, count)
+def methods(count: int, even: bool) -> dict[str, jaxir.Method]:
+    both = jaxir.DirectSampling(count, count)
     if even:
         return {
-            "both, Sobol": jaxir.Reflection(both, sampler=jaxir.Sobol()),
-            "light, Sobol": jaxir.Reflection(jaxir.LightSampling(count), sampler=jaxir.Sobol()),
+            "both, Sobol": jaxir.Method(both, sampler=jaxir.Sobol()),
+            "light, Sobol": jaxir.Method(jaxir.DirectSampling(count, 0), sampler=jaxir.Sobol()),
         }
-    return {"brdf": jaxir.Reflection(jaxir.BrdfSampling(count)), "both": jaxir.Reflection(both)}
+    return {"brdf": jaxir.Method(jaxir.DirectSampling(0, count)), "both": jaxir.Method(both)}
 
 
 def measure(pixels: int) -> tuple[list[dict], float]:
@@ -107,12 +102,12 @@ def measure(pixels: int) -> tuple[list[dict], float]:
                     "seconds": seconds,
                 }
             )
-    exact, _ = image(world, points, jaxir.Reflection(jaxir.ClosedForm()), jax.random.key(0))
+    exact, _ = image(world, points, jaxir.Method(jaxir.ClosedForm()), jax.random.key(0))
     return rows, rrmse(exact, expected)
 
 
-def chart(path: Path, rows: list[dict]) -> None:
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), sharey=True, layout="constrained")
+def chart(rows: list[dict]) -> Any:
+    figure, axes = subplots(1, 2, figsize=(11, 4.6), sharey=True)
     for name in dict.fromkeys(row["method"] for row in rows):
         own = [row for row in rows if row["method"] == name]
         for axis, against in zip(axes, ("rays", "seconds"), strict=True):
@@ -128,22 +123,18 @@ def chart(path: Path, rows: list[dict]) -> None:
         axis.set(xscale="log", yscale="log")
         axis.grid(alpha=0.3, which="both")
     axes[0].legend(fontsize=8)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
+    return figure
 
 
-def main(argv: list[str]) -> None:
-    parser = options("skin_convergence", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pixels", type=int, default=64, help="rows and columns (%(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("studies/out/skin_convergence"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
-    chosen.out.mkdir(parents=True, exist_ok=True)
+
+
+def main(run: Run) -> str:
+    chosen = run.options
     rows, exact = measure(chosen.pixels)
-    with (chosen.out / "skin_convergence.csv").open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, rows[0])
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    chart(chosen.out / "skin_convergence.png", rows)
+    run.table(rows)
+    run.chart(chart(rows), dpi=90)
     print("rays     brdf sampling [%]: paper  8 bit  float     both [%]: paper  8 bit  float")
     for count in RAYS:
         b, m = (next(r for r in rows if r["method"] == name and r["rays"] == count) for name in ("brdf", "both"))
@@ -151,14 +142,11 @@ def main(argv: list[str]) -> None:
         widths = (25, 6, 6, 19, 6, 6)
         print(f"{count:6d} " + " ".join(f"{cell:{width}.4g}" for cell, width in zip(cells, widths, strict=True)))
     even = {row["rays"]: row["rrmse"] for row in rows if row["method"] == "light, Sobol"}
-    print(
+    return (
         f"relative RMS error: {100 * even[64]:.2g} % at 64 and {100 * even[1024]:.2g} % at 1024 Sobol samples of the "
-        f"light, {100 * exact:.1g} % in closed form; see {chosen.out}/"
+        f"light, {100 * exact:.1g} % in closed form"
     )
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except ValueError as error:
-        sys.exit(f"skin_convergence: {error}")
+    study(main, options)

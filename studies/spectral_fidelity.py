@@ -7,17 +7,14 @@ HITRAN file is needed, and CO2 is the only absorber. The air's emission is left 
 the grid of the reference: its error is that of single precision alone.
 """
 
-import csv
-import sys
+import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import matplotlib
 import numpy as np
 from tqdm import tqdm
 
@@ -26,10 +23,7 @@ from jaxir.geometry import Rays
 from jaxir.io.spectra import tabulate
 from jaxir.optics.gas import bins_of, slot_means
 from studies import co2_lines as lines
-from studies import options
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+from studies._study import Run, study, subplots
 
 LOW, HIGH = 2000.0, 2400.0
 BAND = jaxir.Band("4.3 um", 1e4 / HIGH, 1e4 / LOW)
@@ -130,14 +124,14 @@ def transmittance(method, depth, hottest):
 
 @eqx.filter_jit
 def seen(scene, nodes, paths):
-    return nodes.in_band(jaxir.evaluate(jaxir.radiometry(scene, nodes), paths))
+    return nodes.in_band(jaxir.evaluate(scene.on(nodes), paths))
 
 
 def scene_of(method, plume, air):
     temperatures, amount, thickness = plume
     grid = jaxir.Grid((-7 * thickness, -1.0, -1.0), (thickness, 2.0, 2.0), (7, 1, 1))
     gas = method.gas(temperatures, amount)
-    return jaxir.Scene(plume=jaxir.GridPlume(grid, per_cell(temperatures), gas), atmosphere=jaxir.FixedPath(air))
+    return jaxir.Scene(plumes=jaxir.GridPlume(grid, per_cell(temperatures), gas), atmosphere=jaxir.FixedPath(air))
 
 
 def parallel_rays(count):
@@ -145,12 +139,12 @@ def parallel_rays(count):
     return Rays(start, jnp.tile(jnp.asarray([[-1.0, 0.0, 0.0]]), (count, 1)))
 
 
-def main(argv: list[str]) -> None:
-    parser = options("spectral_fidelity", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--repeat", type=int, default=3, help="evaluations of which the fastest counts (%(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("studies/out/spectral_fidelity"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
-    chosen.out.mkdir(parents=True, exist_ok=True)
+
+
+def main(run: Run) -> str:
+    chosen = run.options
 
     depths = {name: None if air is None else lines.air_depth(air, CO2_IN_AIR) for name, air in PATHS.items()}
     truth = {}
@@ -191,20 +185,16 @@ def main(argv: list[str]) -> None:
         for row in rows:
             if row["method"] == method.name:
                 row["cpu_microseconds_a_ray"] = 1e6 * fastest
-    with open(chosen.out / "spectral_fidelity.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    draw(rows, chosen.out / "spectral_fidelity.png")
-    report(rows)
-    print(f"see {chosen.out}/")
+    run.table(rows, digits=5)
+    run.chart(chart(rows), dpi=80)
+    return report(rows)
 
 
 def worst(rows, name, place):
     return max(abs(row["error_percent"]) for row in rows if (row["method"], row["path"]) == (name, place))
 
 
-def draw(rows, path):
+def chart(rows):
     """Largest error over the plumes against CPU time, one panel per path; series of growing g are joined."""
     cost = {row["method"]: row["cpu_microseconds_a_ray"] for row in rows}
     series = {
@@ -216,7 +206,7 @@ def draw(rows, path):
         "correlated-k, 2 4 8 16 g, air in slots": [f"correlated-k, {n} g, air in slots" for n in (2, 4, 8, 16)],
         "line by line": ["line by line"],
     }
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), sharey=True, layout="constrained")
+    figure, axes = subplots(1, 3, figsize=(13, 4.6), sharey=True)
     for axis, place in zip(axes, PATHS, strict=True):
         for (label, names), marker in zip(series.items(), "xDosv^*", strict=True):
             axis.plot([cost[n] for n in names], [worst(rows, n, place) for n in names], marker=marker, label=label)
@@ -224,12 +214,11 @@ def draw(rows, path):
         axis.set(xscale="log", yscale="log", title=place, xlabel="CPU time of a ray [us]")
     axes[0].set_ylabel("largest error of the in-band radiance [%]")
     axes[1].legend(fontsize=8)
-    figure.savefig(path, dpi=80)
-    plt.close(figure)
+    return figure
 
 
 def report(rows):
-    """One line per method: nodes, time, range of the error on each path; then what to pick."""
+    """Print one line per method: nodes, time, range of the error on each path. Return what to pick."""
     print(f"{'method':34s}{'nodes':>7s}{'us a ray':>10s}" + "".join(f"{place:>22s}" for place in PATHS))
     for name in dict.fromkeys(row["method"] for row in rows):
         own = [row for row in rows if row["method"] == name]
@@ -242,7 +231,7 @@ def report(rows):
     most = {
         name: max(worst(rows, name, p) for p in list(PATHS)[1:]) for name in dict.fromkeys(r["method"] for r in rows)
     }
-    print(
+    return (
         f"pick the narrow-band gas with 4 to 8 g where no line list is at hand (vacuum: within "
         f"{worst(rows, 'narrow-band, 8 g', 'vacuum'):.0f} %; through air {most['narrow-band, 8 g']:.0f} %, "
         f"{most['narrow-band, 8 g, air in slots']:.0f} % with the air in slots), correlated-k with 8 g and the air in "
@@ -253,4 +242,4 @@ def report(rows):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    study(main, options)

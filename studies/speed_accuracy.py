@@ -1,4 +1,4 @@
-"""Error against time of every way to compute the paper's experiments, beside their peers in the same run.
+"""What error does each way to compute the paper's experiments reach in what time, beside peers in the same run?
 
 Six experiments of Yu et al. (10.3788/IRLA20200241): the emitting plate, the plate under a disc, a thick and a thin
 box, the ramp medium, an aircraft in the sun. Each method at rising numbers of rays gives a front of relative error
@@ -6,33 +6,33 @@ box, the ramp medium, an aircraft in the sun. Each method at rising numbers of r
 one core, compilation apart. Peers: Mitsuba 3 where it can do the case (it has no emission in media: its nearest
 equivalent, an exact walk and a point estimator written in Dr.Jit, stands for it in the ramp), scalar native code
 (numba) and NumPy in double precision.
-
-python -m studies.speed_accuracy [--cases ramp,disc] [--rounds 3]
 """
 
-import csv
-import sys
+import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.geometry import Rays, view_frame
-from studies import mitsuba_peer, options
+from jaxir.geometry import Rays, pixel_samples, tile_rays, view_frame
+from studies import mitsuba_peer
+from studies._study import Run, judge, study, subplots
 from studies.aircraft import generic_aircraft
-from studies.charts import judge, out_folder
 from studies.march_speed import native_walk
 
 BAND = jaxir.MWIR
 GIVEN = "jaxir, exact sum, optics given"  # as the walks of the peers, which take extinction and emission of each cell
+ESTIMATORS = {
+    "point": jaxir.PointIntegration(),
+    "line": jaxir.LineIntegration(),
+    "combined": jaxir.CombinedIntegration(),
+}
 GOALS = {"ramp": 1e-3, "disc": 1e-2, "aircraft": 1e-2}  # relative errors at which times are compared
 
 
@@ -53,12 +53,28 @@ def rrmse(expected: np.ndarray, where: np.ndarray | slice = np.s_[:]) -> Callabl
     return error
 
 
-def rendering(scene, camera, samples, **method) -> Callable[[int], np.ndarray]:
+def rendering(scene, camera, samples, method=None) -> Callable[[int], np.ndarray]:
     def run(seed: int) -> np.ndarray:
-        image = jaxir.render(scene, camera, BAND, samples=samples, key=jax.random.key(seed), **method)
+        image = jaxir.render(scene, camera, BAND, samples=samples, key=jax.random.key(seed), method=method)
         return np.asarray(image.radiance)[..., 0]
 
     return run
+
+
+@eqx.filter_jit
+def estimated(scene, camera, samples, estimator, key) -> jax.Array:
+    """Image [row, column] of a plume: the radiance of each ray by an estimator, averaged over those of the pixel."""
+    nodes, count = jaxir.gray_nodes((BAND,)), camera.tiles[0] * camera.tiles[1]
+    of_rays, along = jax.random.split(key)
+    places = pixel_samples(of_rays, count, samples)
+    rays = tile_rays(camera, jnp.arange(count, dtype=jnp.int32), places, scene.start(camera))
+    seen = nodes.in_band(jaxir.estimate(scene.on(nodes), jaxir.trace(scene, rays), estimator, along))
+    return camera.untile(seen[:, 0].reshape(count, -1, samples).mean(axis=2))
+
+
+def estimating(scene, camera, samples, estimator) -> Callable[[int], np.ndarray]:
+    """As `rendering`, but each ray's radiance is one sample of an estimator."""
+    return lambda seed: np.asarray(estimated(scene, camera, samples, estimator, jax.random.key(seed)))
 
 
 def black(temperature: float) -> float:
@@ -116,17 +132,17 @@ def disc(peer) -> list[Way]:
     ways = []
     independent, sobol = jaxir.Independent(), jaxir.Sobol()
     tried = (
-        ("jaxir, light, independent", jaxir.LightSampling, independent, (2, 16)),
-        ("jaxir, light, Sobol", jaxir.LightSampling, sobol, (16, 128)),
-        ("jaxir, brdf, independent", jaxir.BrdfSampling, independent, (16,)),
-        ("jaxir, both, independent", lambda n: jaxir.MultipleImportance(n // 2, n // 2), independent, (16,)),
+        ("jaxir, light, independent", lambda n: jaxir.DirectSampling(n, 0), independent, (2, 16)),
+        ("jaxir, light, Sobol", lambda n: jaxir.DirectSampling(n, 0), sobol, (16, 128)),
+        ("jaxir, brdf, independent", lambda n: jaxir.DirectSampling(0, n), independent, (16,)),
+        ("jaxir, both, independent", lambda n: jaxir.DirectSampling(n // 2, n // 2), independent, (16,)),
     )
-    for name, family, sampler, counts in tried:
+    for name, sampling, sampler, counts in tried:
         for n in counts:
-            method = jaxir.Reflection(family(n), sampler=sampler)
-            ways.append(Way(name, 2 * n, rendering(scene, camera, 2, reflection=method), error))
-    closed = jaxir.Reflection(jaxir.ClosedForm())
-    ways += [Way("jaxir, closed form", n, rendering(scene, camera, n, reflection=closed), error) for n in (2,)]
+            method = jaxir.Method(sampling(n), sampler=sampler)
+            ways.append(Way(name, 2 * n, rendering(scene, camera, 2, method), error))
+    closed = jaxir.Method(jaxir.ClosedForm())
+    ways += [Way("jaxir, closed form", n, rendering(scene, camera, n, closed), error) for n in (2,)]
     if peer:
         mi, dr = peer
         frame = np.asarray(view_frame(-90.0, 90.0))
@@ -155,7 +171,7 @@ def disc(peer) -> list[Way]:
 def box(absorption: float, size, peer) -> list[Way]:
     """A homogeneous box of gas at 30 degrees, the image inside its outline."""
     grid = jaxir.Grid(-np.array(size) / 2, np.array(size) / 8, (8, 8, 8))
-    scene = jaxir.Scene(plume=jaxir.GridPlume(grid, 600.0, jaxir.GrayGas(absorption)))
+    scene = jaxir.Scene(plumes=jaxir.GridPlume(grid, 600.0, jaxir.GrayGas(absorption)))
     rows, columns, angle = 16, 128, np.deg2rad(30.0)
     pixel = 0.9 * size[2] / rows, 2.6 / columns
     camera = jaxir.orthographic_camera(30.0, 0.0, (pixel[1], pixel[0]), (rows, columns))
@@ -173,13 +189,8 @@ def box(absorption: float, size, peer) -> list[Way]:
     expected = numpy_walk(512)
     error = rrmse(expected)
     ways = [Way("jaxir, exact sum", n, rendering(scene, camera, n), error) for n in (2, 32)]
-    paths = {
-        "point": jaxir.PointIntegration(),
-        "line": jaxir.LineIntegration(),
-        "combined": jaxir.CombinedIntegration(),
-    }
-    for name, path in paths.items():
-        ways += [Way(f"jaxir, {name}", n, rendering(scene, camera, n, path=path), error) for n in (8,)]
+    for name, estimator in ESTIMATORS.items():
+        ways += [Way(f"jaxir, {name}", n, estimating(scene, camera, n, estimator), error) for n in (8,)]
     ways += [Way("NumPy, slab", n, lambda seed, n=n: numpy_walk(n), error) for n in (1, 8)]
     return ways
 
@@ -198,7 +209,9 @@ def ramp(peer) -> list[Way]:
     low, spacing = np.array([-2.0, -0.16, -0.1], np.float32), np.array([side, side, 0.005], np.float32)
     grid = jaxir.Grid(low, spacing, shape)
     absorption = np.broadcast_to((0.1 * side * (np.arange(columns) + 0.5))[:, None, None, None], (*shape, 1))
-    scene = jaxir.Scene(plume=jaxir.GridPlume(grid, 600.0, jaxir.GrayGas(np.ascontiguousarray(absorption, np.float32))))
+    scene = jaxir.Scene(
+        plumes=jaxir.GridPlume(grid, 600.0, jaxir.GrayGas(np.ascontiguousarray(absorption, np.float32)))
+    )
     camera = jaxir.orthographic_camera(-90.0, 90.0, side, (rows, columns))
     expected = np.broadcast_to(-black(600.0) * np.expm1(-0.2 * absorption[:, 0, 0, 0]), (rows, columns))
     error = rrmse(expected)
@@ -206,20 +219,12 @@ def ramp(peer) -> list[Way]:
     origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, 1.0)], 1).astype(np.float32)
     direction = np.broadcast_to(np.array([0, 0, -1], np.float32), origin.shape).copy()
     origin, direction = np.repeat(origin, 2, 0), np.repeat(direction, 2, 0)  # two rays a pixel, as `render` takes
-    rays, optical = (
-        Rays(jnp.asarray(origin), jnp.asarray(direction)),
-        jaxir.radiometry(scene, jaxir.gray_nodes((BAND,))),
-    )
-    given = eqx.filter_jit(lambda optical, rays: jaxir.evaluate(optical, jaxir.trace(optical.scene, rays))[:, 0])
+    rays, lit = Rays(jnp.asarray(origin), jnp.asarray(direction)), scene.on(jaxir.gray_nodes((BAND,)))
+    given = eqx.filter_jit(lambda lit, rays: jaxir.evaluate(lit, jaxir.trace(lit.scene, rays))[:, 0])
     ways = [Way("jaxir, exact sum", 2, rendering(scene, camera, 2), error)]
-    ways.append(Way(GIVEN, 2, lambda seed: np.asarray(given(optical, rays)).reshape(rows, columns, 2).mean(-1), error))
-    paths = {
-        "point": jaxir.PointIntegration(),
-        "line": jaxir.LineIntegration(),
-        "combined": jaxir.CombinedIntegration(),
-    }
-    for name, path in paths.items():
-        ways += [Way(f"jaxir, {name}", n, rendering(scene, camera, n, path=path), error) for n in (2, 4)]
+    ways.append(Way(GIVEN, 2, lambda seed: np.asarray(given(lit, rays)).reshape(rows, columns, 2).mean(-1), error))
+    for name, estimator in ESTIMATORS.items():
+        ways += [Way(f"jaxir, {name}", n, estimating(scene, camera, n, estimator), error) for n in (2, 4)]
     extinction = np.ascontiguousarray(absorption[..., 0], np.float32)
     emission = extinction * np.float32(black(600.0))
     try:
@@ -405,8 +410,8 @@ def goals(rows: list[dict], rounds: int, cases: list[str]) -> list[str]:
     return lines
 
 
-def chart(path: Path, rows: list[dict], cases: list[str]) -> None:
-    figure, axes = plt.subplots(2, 3, figsize=(15, 8.5), layout="constrained")
+def chart(rows: list[dict], cases: list[str]) -> Any:
+    figure, axes = subplots(2, 3, figsize=(15, 8.5))
     for axis, case in zip(axes.ravel(), cases, strict=False):
         own = [row for row in rows if row["case"] == case]
         for front in dict.fromkeys(row["front"] for row in own):
@@ -417,31 +422,28 @@ def chart(path: Path, rows: list[dict], cases: list[str]) -> None:
             axis.axhline(GOALS[case], color="0.7", lw=0.8)
         axis.set(title=case, xlabel="CPU seconds, compilation apart", ylabel="relative error")
         axis.legend(fontsize=7)
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+    return figure
 
 
-def main(argv: list[str]) -> None:
-    parser = options("speed_accuracy", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", default=",".join(CASES), help="some of %(default)s")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=out_folder("speed_accuracy"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
+
+
+def main(run: Run) -> str:
+    chosen = run.options
     cases, peer, rows = chosen.cases.split(","), mitsuba_peer.load(), []
     for case in cases:
         rows += measure(case, CASES[case](peer), chosen.rounds)
-        with open(chosen.out / "speed_accuracy.csv", "w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    chart(chosen.out / "speed_accuracy.png", rows, cases)
+        run.table(rows)
+    run.chart(chart(rows, cases), dpi=100)
     for row in rows:
         print(
             f"{row['case']:9s} {row['front']:32s} {row['rays']:5d} rays {100 * row['rrmse']:10.3g} % "
             f"{row['seconds']:8.3g} s, compile {row['compile_seconds']:.2g} s"
         )
-    print("\n".join(goals(rows, chosen.rounds, cases)))
+    return "; ".join(goals(rows, chosen.rounds, cases))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    study(main, options)

@@ -9,30 +9,24 @@ The three bands are computed on one set of spectral nodes, in vacuum; air multip
 
 import argparse
 import dataclasses
-import json
 import platform
-import sys
 import time
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import matplotlib
 import numpy as np
 
 import jaxir
+from jaxir import plot
 from jaxir.imaging import Signature
-from jaxir.io._files import written_whole
 from jaxir.io.mesh import METRES, load_mesh
 from jaxir.io.result import save_image, save_signature, save_tiff, sweep
-from studies import aircraft, options
-from studies.charts import radiance_panels
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-from matplotlib.ticker import NullFormatter  # noqa: E402
+from studies import aircraft
+from studies._study import Run, study, subplots
 
 Scenes = dict[str, jaxir.Scene]
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
@@ -157,9 +151,9 @@ def through_air(table: Signature, nodes: jaxir.Nodes, place: str) -> Signature:
 
     The nodes of a view share their rays, so their standard errors are added: an upper bound.
     """
-    factor = nodes.response * path_of(place).transmittance(nodes)[None, :]
+    factor = nodes.response * path_of(place).on(nodes).transmittance[None, :]
     intensity, error = table.intensity @ factor.T, table.standard_error @ factor.T
-    added = jnp.where(jnp.isfinite(table.missing), table.missing * table.intensity, 0) @ factor.T
+    added = jnp.where(jnp.isfinite(table.truncation), table.truncation * table.intensity, 0) @ factor.T
     return Signature(table.azimuth, table.elevation, intensity, error, nodes.names, added / intensity)
 
 
@@ -175,8 +169,7 @@ def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, folder: Path | 
         how = {
             "distance": 5_000.0,
             "shape": (effort.view // 2, effort.view),
-            "reflection": jaxir.Reflection(bounces=effort.depth),
-            "scattering": jaxir.Scattering(effort.depth),
+            "method": jaxir.Method(bounces=effort.depth, orders=effort.depth),
         }
         vacuum = jaxir.signature(*asked, **how) if folder is None else sweep(folder / name, *asked, **how)
         for place in PLACES:
@@ -189,7 +182,7 @@ def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, folder: Path | 
                     whole.intensity[part],
                     whole.standard_error[part],
                     whole.bands,
-                    whole.missing[part],
+                    whole.truncation[part],
                 )
                 begin += len(aspects)
     return tables
@@ -211,18 +204,17 @@ def images(made: Scenes, nodes: jaxir.Nodes, effort: Effort) -> dict[str, jaxir.
                 camera,
                 nodes,
                 samples=effort.samples,
-                reflection=jaxir.Reflection(bounces=effort.depth),
-                scattering=jaxir.Scattering(effort.depth),
+                method=jaxir.Method(bounces=effort.depth, orders=effort.depth),
             )
     return found
 
 
-def intensities_around(path: Path, tables: Tables, step: float) -> None:
+def intensities_around(tables: Tables, step: float) -> Any:
     """Fig. 14: radiant intensity over the turn about each axis, logarithmic; suppressed dashed."""
+    from matplotlib.ticker import NullFormatter
+
     axes = list(circles(step))
-    figure, panels = plt.subplots(
-        len(PLACES), len(axes), figsize=(13, 9), subplot_kw={"projection": "polar"}, layout="constrained"
-    )
+    figure, panels = subplots(len(PLACES), len(axes), figsize=(13, 9), subplot_kw={"projection": "polar"})
     for row, place in enumerate(PLACES):
         for panel, axis in zip(panels[row], axes, strict=True):
             for name, style in (("plain", "-"), ("suppressed", "--")):
@@ -235,8 +227,7 @@ def intensities_around(path: Path, tables: Tables, step: float) -> None:
             panel.yaxis.set_minor_formatter(NullFormatter())  # labels of less than decades lie over one another
             panel.set_title(f"from the {place}, {axis} [W/sr]")
     panels[0, 0].legend(loc="lower left", bbox_to_anchor=(-0.35, -0.15), fontsize="small")
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    return figure
 
 
 @dataclasses.dataclass(frozen=True)
@@ -254,9 +245,9 @@ def from_the_side(made: Scenes, nodes: jaxir.Nodes, depth: int) -> dict[str, Sid
     camera = jaxir.perspective_camera(90, 0, 5_000.0, 4e-5, (24, 200), target=(aircraft.TAIL_X - 15.0, 0, 0))
     found: dict[str, Side] = {}
     for name, scene in made.items():
-        skin, plume = jaxir.Scene(scene.skin, sources=scene.sources), jaxir.Scene(None, scene.plume, scene.sources)
+        skin, plume = jaxir.Scene(scene.skin, sources=scene.sources), jaxir.Scene(None, scene.plumes, scene.sources)
         table = jaxir.signature(skin, [[90.0, 0.0]], nodes, distance=5_000.0)
-        image = jaxir.render(plume, camera, nodes, samples=2, scattering=jaxir.Scattering(depth))
+        image = jaxir.render(plume, camera, nodes, samples=2, method=jaxir.Method(orders=depth))
         radiance = np.asarray(image.radiance)
         brightest = radiance.max((0, 1))
         least = (found["plain"].brightest if found else brightest) / 1000
@@ -329,8 +320,7 @@ def conclusions(tables: Tables, side: dict[str, Side]) -> list[str]:
     return said
 
 
-def arguments(argv: list[str]) -> argparse.Namespace:
-    parser = options("stealth_aircraft", __doc__)
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="few aspects and pixels: minutes instead of hours")
     parser.add_argument("--mesh", help="your own mesh (STL, OBJ, PLY, GLB), nose along +x, z up")
     parser.add_argument("--unit", choices=list(METRES), help="length unit of --mesh (required with it)")
@@ -339,19 +329,15 @@ def arguments(argv: list[str]) -> argparse.Namespace:
         "--density", type=float, default=2200.0, help="of the particles' substance [kg/m3] (%(default)s)"
     )
     parser.add_argument("--sun", type=float, default=10.0, help="SWIR irradiance along -z [W m-2] (%(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("studies/out/stealth_aircraft"), help="folder (%(default)s)")
-    chosen = parser.parse_args(argv)
+
+
+def main(run: Run) -> str:
+    chosen = run.options
     if (chosen.mesh is None) != (chosen.unit is None):
-        parser.error("--mesh and --unit go together: files do not say their unit")
-    return chosen
-
-
-def main(argv: list[str]) -> None:
-    chosen = arguments(argv)
+        raise ValueError("--mesh and --unit go together: files do not say their unit")
     effort = QUICK if chosen.quick else FULL
     given = Conditions(particle_density=chosen.density, sun_irradiance=chosen.sun)
-    out = chosen.out / ("quick" if chosen.quick else "full")
-    out.mkdir(parents=True, exist_ok=True)
+    out = run.bulk("quick" if chosen.quick else "full")
     if chosen.mesh is None:
         vertices, faces, _ = aircraft.generic_aircraft()
         mesh, temperature = jaxir.Mesh(vertices, faces), aircraft.skin_temperature(vertices, faces)
@@ -368,17 +354,18 @@ def main(argv: list[str]) -> None:
     tables = signatures(made, nodes, effort, views)
     for (name, place, axis), table in tables.items():
         save_signature(out / f"{name}_{place}_{axis}.csv", table)
-    intensities_around(out / "intensities.png", tables, effort.step)
+    run.chart(intensities_around(tables, effort.step), "stealth_intensities", dpi=110)
     after_views = time.perf_counter()
     seen = images(made, nodes, effort)
     for name, image in seen.items():
         stem = out / name.replace(", ", "_")
         save_image(stem.with_suffix(".npz"), image)
         save_tiff(stem.with_suffix(".tif"), image)
-    radiance_panels(out / "images.png", seen)
+    run.chart(plot.radiance_panels(seen), dpi=110, bbox_inches="tight")
     after_images = time.perf_counter()
     side = from_the_side(made, nodes, effort.depth)
     said = conclusions(tables, side)
+    whole, every = sum(line.startswith("holds:") for line in said), len(said)
     said += ["what decides it:", *cooler_exhaust(made["plain"], nodes, side["plain"].skin)]
 
     worst = {
@@ -392,18 +379,14 @@ def main(argv: list[str]) -> None:
         "seconds": {"signatures": after_views - began, "images": after_images - after_views},
         "largest relative standard error of an intensity": worst,
         "share of the intensity beyond the last order, at most": {
-            " ".join(key): float(np.max(np.asarray(table.missing))) for key, table in tables.items()
+            " ".join(key): float(np.max(np.asarray(table.truncation))) for key, table in tables.items()
         },
         "conclusions": said,
     }
-    with written_whole(out / "report.json") as part:
-        part.write_text(json.dumps(report, indent=1))
+    run.record(report)
     print("\n".join(said))
-    print(f"{time.perf_counter() - began:.0f} s on {nodes.count} nodes; see {out}/")
+    return f"{whole} of {every} conclusions of the paper hold throughout; {nodes.count} nodes; the rest is in {out}"
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except ValueError as error:
-        sys.exit(f"stealth_aircraft: {error}")
+    study(main, options, needs=("matplotlib", "miepython", "tifffile"), published="--quick")

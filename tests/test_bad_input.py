@@ -43,19 +43,19 @@ def _render(scene, camera=None, **more):
         (lambda: jaxir.orthographic_camera(0.0, 0.0, 0.0, (4, 4)), "pixel: got 0.0, expected finite values > 0"),
         (lambda: jaxir.perspective_camera(0.0, 0.0, -5.0, 1e-3, (4, 4)), "distance: got -5.0"),
         (lambda: jaxir.orthographic_camera(0.0, 0.0, 1.0, (0, 4)), r"Camera.shape: got \(0, 4\)"),
-        (lambda: jaxir.UniformBackground([[1.0]]), "UniformBackground.value: got shape"),
+        (lambda: jaxir.UniformBackground([[1.0]]), "UniformBackground.radiance: got shape"),
         (
             lambda: _render(jaxir.Scene(_skin(temperature=-1.0))),
             "Skin.temperature: got -1.0 at index .0., expected finite",
         ),
         (lambda: _render(jaxir.Scene(_skin(temperature=[300.0, np.nan]))), r"Skin.temperature: got nan at index \[1\]"),
         (lambda: _render(jaxir.Scene(_skin(emissivity=1.2))), r"Lambert.emissivity: got 1.2.*\[0, 1\]"),
-        (lambda: _render(jaxir.Scene(plume=_plume(coefficient=-1.0))), "GrayGas.coefficient: got -1.0"),
-        (lambda: _render(jaxir.Scene(plume=_plume(coefficient=np.inf))), "GrayGas.coefficient: got inf"),
-        (lambda: _render(jaxir.Scene(plume=_plume(spacing=(0.5, 0.0, 0.5)))), r"Grid.spacing: got 0.0 at index \[1\]"),
-        (lambda: _render(jaxir.Scene(plume=_plume(temperature=0.0))), "GridPlume.temperature: got 0.0"),
+        (lambda: _render(jaxir.Scene(plumes=_plume(coefficient=-1.0))), "GrayGas.coefficient: got -1.0"),
+        (lambda: _render(jaxir.Scene(plumes=_plume(coefficient=np.inf))), "GrayGas.coefficient: got inf"),
+        (lambda: _render(jaxir.Scene(plumes=_plume(spacing=(0.5, 0.0, 0.5)))), r"Grid.spacing: got 0.0 at index \[1\]"),
+        (lambda: _render(jaxir.Scene(plumes=_plume(temperature=0.0))), "GridPlume.temperature: got 0.0"),
         (
-            lambda: _render(jaxir.Scene(plume=_plume(coefficient=np.ones((3, 1))))),
+            lambda: _render(jaxir.Scene(plumes=_plume(coefficient=np.ones((3, 1))))),
             r"GrayGas.coefficient: got shape \(3, 1\)",
         ),
         (
@@ -68,7 +68,7 @@ def _render(scene, camera=None, **more):
         ),
         (
             lambda: _render(jaxir.Scene(_skin(), background=jaxir.UniformBackground([1.0, 2.0]))),
-            "UniformBackground.value: got 2 spectral values, expected 1 or 1",
+            "UniformBackground.radiance: got 2 spectral values, expected 1 or 1",
         ),
         (
             lambda: _render(jaxir.Scene(_skin()), jaxir.perspective_camera(0.0, 0.0, 0.6, 1e-3, (4, 4))),

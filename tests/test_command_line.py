@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,8 +13,8 @@ import pytest
 import trimesh
 
 import jaxir
-from jaxir.command_line import main
-from tests.io.scene_text import TEXT, write_obj, write_scene
+from jaxir.command_line import main, run
+from tests.io.scene_file.scene_text import TEXT, write_obj, write_scene
 from tests.scenes import box_mesh
 
 EXAMPLES = Path(jaxir.__file__).parents[1] / "examples"
@@ -39,7 +40,7 @@ def test_quantities_are_labelled_and_differ_as_they_should(rendered):
         assert conditions["quantity"].startswith(f"{quantity}: ") and conditions["scene"] == "scene.toml"
     intensity = {q: ((f["radiance"] - f["empty"]) * f["pixel"].prod()).sum((0, 1)) for q, f in held.items()}
     black = [jaxir.band_radiance(jnp.asarray(t), jaxir.gray_nodes((jaxir.MWIR, jaxir.LWIR))) for t in (300.0, 250.0)]
-    skin = 0.8 * np.asarray(black[0]) + 0.2 / np.pi * np.array([2.0, 0.1])  # of 1 m2
+    skin = 0.8 * np.asarray(black[0]) + 0.2 * np.asarray(black[1]) + 0.2 / np.pi * np.array([2.0, 0.1])  # of 1 m2
     np.testing.assert_allclose(intensity["source"], skin, rtol=1e-5)
     np.testing.assert_allclose(intensity["apparent"], 0.5 * (skin - np.asarray(black[1])), rtol=1e-5)
 
@@ -229,3 +230,12 @@ def test_parts_of_an_obj_file_are_its_objects(tmp_path):
         (tmp_path / "w.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\n" + line)
         with pytest.raises(ValueError, match=f"w.obj:6: .*{message}"):
             load_mesh(tmp_path / "w.obj", unit="m")
+
+
+def test_the_command_ends_with_the_status_of_main(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["jaxir", "show", "no_scene.toml"])
+    with pytest.raises(SystemExit, match="^1$"):
+        run()
+    assert "no_scene.toml" in capsys.readouterr().err
+    project = tomllib.loads((EXAMPLES.parent / "pyproject.toml").read_text())["project"]
+    assert project["scripts"] == {"jaxir": f"{run.__module__}:{run.__name__}"}

@@ -47,7 +47,8 @@ def sections(text):
 
 def test_scene_files_are_read(tmp_path, monkeypatch):
     """Each block replaces the sections of its name in the first, and what results is a scene."""
-    monkeypatch.setattr("jaxir.io.scene_file._scene_files.resolve_jet", lambda jet, bands, tolerance: jet)  # has its own tests
+    resolve = "jaxir.io.scene_file._scene_files.resolve_jet"  # has its own tests
+    monkeypatch.setattr(resolve, lambda jet, bands, tolerance: jet)
     shutil.copy(ROOT / "examples" / "aircraft.obj", tmp_path)
     first, *others = blocks(ROOT / "docs" / "scene_files.md", "toml")
     assert len(others) > 5
@@ -67,8 +68,31 @@ def test_commands(page, tmp_path, monkeypatch):
     lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
     for line in lines:
         words = line.split()
-        if words[:3] == ["python", "-m", "jaxir"]:
-            assert main(words[3:]) == 0, line
+        if words[0] == "jaxir":
+            assert main(words[1:]) == 0, line
             assert all(Path(name).is_file() for flag, name in zip(words, words[1:], strict=False) if flag == "-o")
         else:
             assert line.startswith(MADE_BY_HAND), line
+
+
+def test_every_oracle_that_a_test_names_is_described():
+    page = (ROOT / "docs" / "oracles.md").read_text(encoding="utf-8")
+    described = set(re.findall(r"^## (O\d+b?) ", page, re.MULTILINE))
+    tests = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")}
+    named = {name for text in tests.values() for name in re.findall(r"\bO(?:1[0-6]|[1-9])b?\b", text)}
+    assert len(named) > 8 and named <= described
+    assert set(re.findall(r"`(test_\w+\.py)`", page)) <= set(tests)
+
+
+def test_the_reference_has_every_name_of_the_package_once():
+    text = "\n".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs" / "reference").glob("*.md"))
+    named = re.findall(r"^::: ([\w.]+)$", text, re.MULTILINE)
+    assert len(set(named)) == len(named)
+    listed = re.findall(r"members: \[([^\]]*)\]", text) + re.findall(r"^        - (\w+)$", text, re.MULTILINE)
+    shown = [name.rsplit(".", 1)[-1] for name in named] + re.findall(r"\w+", " ".join(listed))
+    top = re.findall(
+        r"import \w+ as (\w+)$", (ROOT / "jaxir" / "__init__.py").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    in_quantity = {"alone", "at_target"}  # which is shown whole
+    assert len(top) > 80
+    assert [name for name in top if shown.count(name) != 1 and name not in in_quantity] == []

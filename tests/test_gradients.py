@@ -19,7 +19,7 @@ def intensity(emissivity, skin_temperature, absorption, plume_temperature):
     """A box in front of, inside and behind a plume, lit by a sun through it."""
     scene = jaxir.Scene(
         skin=jaxir.Skin(box_mesh((0.5, 0.6, 0.4), (0.4, 0.1, 0.0)), skin_temperature, jaxir.Lambert(emissivity)),
-        plume=gray_box(
+        plumes=gray_box(
             (2.0, 1.0, 0.8), absorption * np.linspace(0.2, 1.0, 60).reshape(4, 3, 5, 1), temperature=plume_temperature
         ),
         sources=(jaxir.ParallelSource((-0.6, 0.0, -0.8), 20.0),),
@@ -53,7 +53,7 @@ def test_gradient_of_every_face_and_cell_at_once(x64):
         skin=jaxir.Skin(
             box_mesh((0.5, 0.6, 0.4)), np.linspace(300.0, 500.0, 12), jaxir.Lambert(np.linspace(0.2, 0.9, 12))
         ),
-        plume=gray_box((2.0, 1.0, 0.8), np.linspace(0.2, 1.0, 60).reshape(4, 3, 5, 1)),
+        plumes=gray_box((2.0, 1.0, 0.8), np.linspace(0.2, 1.0, 60).reshape(4, 3, 5, 1)),
     )
 
     def total(scene):
@@ -61,8 +61,10 @@ def test_gradient_of_every_face_and_cell_at_once(x64):
 
     value, static = eqx.partition(base, eqx.is_inexact_array)
     direction = jax.tree.map(lambda x: jnp.cos(jnp.arange(x.size, dtype=x.dtype)).reshape(x.shape), value)
-    geometry = (direction.skin.mesh, direction.plume.grid)
-    direction = eqx.tree_at(lambda s: (s.skin.mesh, s.plume.grid), direction, jax.tree.map(jnp.zeros_like, geometry))
+    geometry = (direction.skin.mesh, direction.plumes[0].grid)
+    direction = eqx.tree_at(
+        lambda s: (s.skin.mesh, s.plumes[0].grid), direction, jax.tree.map(jnp.zeros_like, geometry)
+    )
     function = jax.jit(lambda v: total(eqx.combine(v, static)))
     slope = jax.jvp(function, (value,), (direction,))[1]
     gradient = jax.grad(function)(value)

@@ -15,10 +15,11 @@ from jaxir.fit._parameter import Factor as Factor
 from jaxir.fit._parameter import Leaf as Leaf
 from jaxir.fit._parameter import PartValue as PartValue
 from jaxir.fit._parameter import at_values as at_values
+from jaxir.fit._prepare import prepare as prepare
+from jaxir.fit._prepare import retraced as retraced
 from jaxir.fit._prior import NormalPrior as NormalPrior
 from jaxir.fit._prior import SmoothPrior as SmoothPrior
 from jaxir.fit._problem import Problem as Problem
-from jaxir.fit._problem import prepare as prepare
 from jaxir.fit._problem import value_and_jacobian as value_and_jacobian
 from jaxir.fit._result import Fit as Fit
 from jaxir.fit._result import Uncertainty as Uncertainty

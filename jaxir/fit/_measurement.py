@@ -9,16 +9,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, enforce, positive
 from jaxir.geometry import Camera
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene.scene import Scene
-from jaxir.transport.brightness import graded_cameras
-from jaxir.transport.radiometry import compiled_radiometry
-from jaxir.transport.reflection import Reflection
-from jaxir.transport.scattering import Scattering
+from jaxir.scene import Scene, compiled_on_nodes
+from jaxir.transport import Method, graded_cameras
 
 
 class Measurement(eqx.Module):
@@ -29,8 +26,7 @@ class Measurement(eqx.Module):
         standard_deviation: of each value [row, band].
         cameras: the views, stacked leaf by leaf [view, ...].
         nodes: spectral axis of the prediction.
-        reflection: how the prediction finds reflected light, as in `render`.
-        scattering: how it follows light that particles scatter, as in `render`.
+        method: how the prediction finds light, as in `render`.
         samples: rays per pixel; even.
         per_pixel: whether each row is a pixel's radiance (one view) or a view's radiant intensity.
     """
@@ -39,8 +35,7 @@ class Measurement(eqx.Module):
     standard_deviation: Float[Array, "row band"]
     cameras: Camera
     nodes: Nodes
-    reflection: Reflection | None
-    scattering: Scattering | None
+    method: Method
     samples: int = eqx.field(static=True)
     per_pixel: bool = eqx.field(static=True)
 
@@ -62,8 +57,7 @@ def measured_intensity(
     distance: Any = np.inf,
     shape: tuple[int, int] = (64, 64),
     samples: int = 2,
-    reflection: Reflection | None = None,
-    scattering: Scattering | None = None,
+    method: Method | None = None,
 ) -> Measurement:
     """Measured contrast intensities over aspects, as `signature` predicts them.
 
@@ -76,8 +70,7 @@ def measured_intensity(
         distance: from the scene to the sensor [m].
         shape: rows and columns of the images that predict.
         samples: rays per pixel; even.
-        reflection: as `render`.
-        scattering: as `render`; `Scattering(0)` leaves out what particles scatter, and with it its noise.
+        method: as `render`; `Method(orders=0)` leaves out what particles scatter, and with it its noise.
 
     Returns:
         The measurement.
@@ -89,9 +82,9 @@ def measured_intensity(
     aspect = as_float(views, "views")
     if aspect.ndim != 2 or aspect.shape[1] != 2:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
-    cameras = graded_cameras(compiled_radiometry(scene, nodes), aspect, shape, distance)
+    cameras = graded_cameras(compiled_on_nodes(scene, nodes), aspect, shape, distance)
     wanted = (aspect.shape[0], len(nodes.names))
-    return _measurement(value, standard_deviation, wanted, cameras, nodes, (reflection, scattering), samples, False)
+    return _measurement(value, standard_deviation, wanted, cameras, nodes, method, samples, False)
 
 
 def measured_image(
@@ -101,8 +94,7 @@ def measured_image(
     standard_deviation: Any,
     *,
     samples: int = 2,
-    reflection: Reflection | None = None,
-    scattering: Scattering | None = None,
+    method: Method | None = None,
 ) -> Measurement:
     """A measured radiance image; an image of one pixel is a measured band radiance.
 
@@ -112,8 +104,7 @@ def measured_image(
         value: [row, column, band] [W m-2 sr-1].
         standard_deviation: of each value, or one for all.
         samples: rays per pixel; even.
-        reflection: as `render`.
-        scattering: as `render`; `Scattering(0)` leaves out what particles scatter, and with it its noise.
+        method: as `render`; `Method(orders=0)` leaves out what particles scatter, and with it its noise.
 
     Returns:
         The measurement.
@@ -124,7 +115,7 @@ def measured_image(
     nodes = as_nodes(bands)
     wanted = (*camera.shape, len(nodes.names))
     one = jax.tree.map(lambda leaf: leaf[None], camera)
-    return _measurement(value, standard_deviation, wanted, one, nodes, (reflection, scattering), samples, True)
+    return _measurement(value, standard_deviation, wanted, one, nodes, method, samples, True)
 
 
 def _measurement(
@@ -133,7 +124,7 @@ def _measurement(
     shape: tuple[int, ...],
     cameras: Camera,
     nodes: Nodes,
-    light: tuple[Reflection | None, Scattering | None],
+    method: Method | None,
     samples: int,
     per_pixel: bool,
 ) -> Measurement:
@@ -144,5 +135,7 @@ def _measurement(
         raise ValueError(f"measurement.standard_deviation: got shape {spread.shape}, expected one value or {shape}")
     flat = (-1, shape[-1])
     spread = jnp.broadcast_to(spread, shape).reshape(flat)
-    made = Measurement(numbers.reshape(flat), spread, cameras, nodes, *light, samples, per_pixel)
+    made = Measurement(
+        numbers.reshape(flat), spread, cameras, nodes, Method() if method is None else method, samples, per_pixel
+    )
     return enforce(made, made.checks())

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 from jaxir.fit._parameter import Bounds, Factor, Leaf, PartValue
-from jaxir.optics.gas import CorrelatedK, NarrowBandGas
-from jaxir.optics.particle import GrayParticles, Particles
-from jaxir.scene.jet import JetPlume
-from jaxir.scene.plume import GridPlume
 
 POSITIVE = Bounds(0.0)
 JET_UNITS = {
@@ -31,72 +28,78 @@ def part_temperature(part: str) -> PartValue:
     return PartValue(f"temperature of {part}", _temperature, POSITIVE, "K", part=part)
 
 
-def jet_parameter(field: str) -> Leaf:
+def jet_parameter(field: str, plume: int = 0) -> Leaf:
     """A field of a `JetPlume` by its name, such as "exit_temperature"; positive, or free for "nozzle".
 
+    Args:
+        field: its name.
+        plume: which of the scene's plumes.
+
     Raises:
-        ValueError: another name; where it is read, a scene without a jet.
+        ValueError: another name; where it is read, a scene without that jet.
     """
-    named = field.replace("_", " ")
-    if field == "nozzle":
-        return Leaf(named, lambda scene: _jet(scene).nozzle, unit="m")
-    if field not in JET_UNITS:
+    named = _named(field.replace("_", " "), plume)
+    if field != "nozzle" and field not in JET_UNITS:
         raise ValueError(f"jet_parameter: got {field!r}, expected one of {('nozzle', *JET_UNITS)}")
-    return Leaf(named, lambda scene: getattr(_jet(scene), field), POSITIVE, JET_UNITS[field])
+
+    def of(scene: Any) -> Any:
+        return _field(scene, plume, field, "jet_parameter", "a JetPlume")
+
+    return Leaf(named, of, unit="m") if field == "nozzle" else Leaf(named, of, POSITIVE, JET_UNITS[field])
 
 
-def temperature_scale() -> Factor:
+def temperature_scale(plume: int = 0) -> Factor:
     """Factor on the temperatures of a `GridPlume`, all cells alike. ValueError for a scene without one."""
-    return Factor("temperature scale", _grid_temperature)
+
+    def of(scene: Any) -> Any:
+        return _field(scene, plume, "temperature", "temperature_scale", "a GridPlume")
+
+    return Factor(_named("temperature scale", plume), of)
 
 
-def mole_fraction_scale() -> Factor:
-    """Factor on the mole fractions of all gases that absorb. ValueError for a plume whose gas has none."""
-    return Factor("mole fraction scale", _mole_fractions)
+def mole_fraction_scale(plume: int = 0) -> Factor:
+    """Factor on the mole fractions of all that absorbs in a plume. ValueError for a gas that has none."""
+
+    def of(scene: Any) -> Any:
+        gas = _field(scene, plume, "gas", "mole_fraction_scale", "a plume with a gas")
+        if not gas.amounts():
+            raise ValueError(
+                f"mole_fraction_scale: got {type(gas).__name__} in the plume, expected a gas with mole fractions"
+            )
+        return gas.amounts()
+
+    return Factor(_named("mole fraction scale", plume), of)
 
 
-def particle_loading() -> Factor:
-    """Factor on the number of particles in the plume. ValueError for a plume without."""
-    return Factor("particle loading", _particles)
+def particle_loading(plume: int = 0) -> Factor:
+    """Factor on the number of particles in a plume. ValueError for a plume without."""
+
+    def of(scene: Any) -> Any:
+        particles = _field(scene, plume, "particles", "particle_loading", "a plume with particles")
+        if particles is None:
+            raise ValueError("particle_loading: got nothing in the plume, expected particles")
+        return particles.amount
+
+    return Factor(_named("particle loading", plume), of)
+
+
+def _named(name: str, plume: int) -> str:
+    return f"{name} of plume {plume}" if plume else name
 
 
 def _emissivity(scene: Any) -> Any:  # these are also called on scenes whose leaves stand for themselves
-    return scene.skin.brdf.hemispherical_emissivity
+    return scene.skin.brdf.emissivity
 
 
 def _temperature(scene: Any) -> Any:
     return scene.skin.temperature
 
 
-def _jet(scene: Any) -> Any:
-    if not isinstance(scene.plume, JetPlume):
-        raise ValueError(f"jet_parameter: got {_kind(scene.plume)} as the scene's plume, expected a JetPlume")
-    return scene.plume
-
-
-def _grid_temperature(scene: Any) -> Any:
-    if not isinstance(scene.plume, GridPlume):
-        raise ValueError(f"temperature_scale: got {_kind(scene.plume)} as the scene's plume, expected a GridPlume")
-    return scene.plume.temperature
-
-
-def _mole_fractions(scene: Any) -> Any:
-    gas = None if scene.plume is None else scene.plume.gas
-    if isinstance(gas, NarrowBandGas):
-        return tuple(amount for amount in (gas.h2o, gas.co2, gas.co) if amount is not None)
-    if isinstance(gas, CorrelatedK):
-        return tuple(gas.mole_fractions.values())
-    raise ValueError(f"mole_fraction_scale: got {_kind(gas)} in the plume, expected a gas with mole fractions")
-
-
-def _particles(scene: Any) -> Any:
-    particles = None if scene.plume is None else scene.plume.particles
-    if isinstance(particles, Particles):
-        return particles.number_density
-    if isinstance(particles, GrayParticles):
-        return particles.extinction
-    raise ValueError(f"particle_loading: got {_kind(particles)} in the plume, expected particles")
-
-
-def _kind(thing: Any) -> str:
-    return "nothing" if thing is None else type(thing).__name__
+def _field(scene: Any, plume: int, field: str, asked_by: str, expected: str) -> Any:
+    """A field of one of a scene's plumes, or `ValueError`."""
+    chosen = scene.plumes[plume] if 0 <= plume < len(scene.plumes) else None
+    if chosen is None or all(entry.name != field for entry in dataclasses.fields(chosen)):
+        got = "nothing" if chosen is None else type(chosen).__name__
+        which = f"plume {plume}" if plume else "the scene's plume"
+        raise ValueError(f"{asked_by}: got {got} as {which}, expected {expected}")
+    return getattr(chosen, field)

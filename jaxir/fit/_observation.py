@@ -14,30 +14,18 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from jaxir.fit._drift import density_ratio, effective_share
 from jaxir.fit._measurement import Measurement
-from jaxir.geometry import Camera, Rays, hilbert_index, pixel_samples
+from jaxir.geometry import Camera, Crossings, Rays, hilbert_index, pixel_samples, tile_rays
 from jaxir.geometry.search import closest_hit
 from jaxir.optics.spectrum import Nodes
-from jaxir.scene.background import AbstractUniformBackground
-from jaxir.scene.jet import JetPlume
-from jaxir.scene.scene import Scene
-from jaxir.scene.source import ParallelSource
-from jaxir.transport.drift import density_ratio, effective_share
-from jaxir.transport.evaluate import empty_radiance, evaluate
-from jaxir.transport.jet import meets_jet
-from jaxir.transport.march import optical_depth
-from jaxir.transport.paths import Paths, store_crossings, trace
-from jaxir.transport.radiometry import Radiometry, radiometry
-from jaxir.transport.reflection import Reflection, reflection_of
+from jaxir.scene import Lit, Scene
+from jaxir.transport import Paths, evaluate, store_route, trace
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 SLICE = 64  # rays in a slice, at most
-LEADING = 32  # rays of each half of a row that lead a jet near the solution
-STEERING = 448  # that tell the slopes there: standard deviations within 0.2 to 1.6 % of those of all, for eight keys
 CURVE = 12  # bits of the raster, along the longer side of an image, on which rays are put in order
 ROUND = 8  # slices of a chunk are a multiple of it, so that a few rays more or less compile nothing anew
-EVEN = 0.1  # share of those that lead spread evenly, the rest where the radiance is
-EVEN_STEERING = 0.5  # of those that steer: a jet's length, say, acts where it is dim
 
 
 class RaySum(eqx.Module):
@@ -53,33 +41,16 @@ class RaySum(eqx.Module):
     weight: Float[Array, "chunk slice place"]
     group: Int[Array, "chunk slice"]
 
-    def add(
-        self, optical: Radiometry, reflection: Reflection | None, totals: Float[Array, "group band"]
-    ) -> Float[Array, "group band"]:
+    def add(self, lit: Lit, totals: Float[Array, "group band"]) -> Float[Array, "group band"]:
         """`totals` and the sums of weight * (L - L_empty) of every group. Differentiable as `evaluate`."""
-        nodes = optical.nodes
 
         @jax.checkpoint  # a gradient evaluates a chunk again instead of keeping all of them
         def chunk(paths: Paths, weight: Array) -> Array:
-            empty = empty_radiance(optical, paths.rays.direction)
-            contrast = nodes.in_band(evaluate(optical, paths, reflection) - empty)
+            contrast = lit.nodes.in_band(evaluate(lit, paths) - lit.empty(paths.rays.direction))
             return jnp.einsum("sp,spb->sb", weight, contrast.reshape((*weight.shape, -1)))
 
         sums = lax.map(lambda each: chunk(*each), (self.paths, self.weight))
         return totals.at[self.group].add(sums)
-
-    @eqx.filter_jit
-    def parts(self, scene: Scene, measurement: Measurement) -> Float[Array, "chunk slice place band"]:
-        """Magnitude of what each ray adds to its row."""
-        optical = radiometry(scene, measurement.nodes)
-
-        def chunk(each: tuple[Paths, Array]) -> Array:
-            paths, weight = each
-            empty = empty_radiance(optical, paths.rays.direction)
-            contrast = optical.nodes.in_band(evaluate(optical, paths, measurement.reflection) - empty)
-            return jnp.abs(weight[..., None] * contrast.reshape((*weight.shape, -1)))
-
-        return lax.map(chunk, (self.paths, self.weight))
 
 
 class Observation(eqx.Module):
@@ -93,58 +64,35 @@ class Observation(eqx.Module):
         measurement: what was measured.
         scene: what was traced.
         through: rays on which a plume acts; None without.
-        leading: few rays that stand for `through` on the way to a solution; None where all are needed.
-        steering: more, that tell its slopes; None where all are needed.
         beside: rays that meet skin and on which no plume acts; None without.
-        lacking: what is added to the predictions of both halves [2, row, band]; None where `through` is all rays.
     """
 
     measurement: Measurement
     scene: Scene
     through: RaySum | None
-    leading: RaySum | None
-    steering: RaySum | None
     beside: RaySum | None
-    lacking: Float[Array, "2 row band"] | None
 
     def predict_halves(self, scene: Scene) -> Float[Array, "2 row band"]:
         """Predictions of both halves of the rays; their mean is the prediction. Differentiable as `evaluate`."""
         measurement = self.measurement
         nodes, (rows, bands) = measurement.nodes, measurement.value.shape
-        optical = radiometry(scene, nodes)
+        lit = scene.on(nodes)
         totals = jnp.zeros((2 * rows, bands), measurement.value.dtype)
         if self.through is not None:
-            totals = self.through.add(optical, measurement.reflection, totals)
+            totals = self.through.add(lit, totals)
         if self.beside is not None:
-            clear = eqx.tree_at(lambda o: o.medium, optical, None, is_leaf=lambda x: x is None)
-            totals = self.beside.add(clear, measurement.reflection, totals)
+            totals = self.beside.add(lit.without_plumes(), totals)
         contrast = 2 * totals.reshape((2, rows, bands))
-        if self.lacking is not None:
-            contrast = contrast + self.lacking
         if not measurement.per_pixel:
             return contrast
         direction = measurement.cameras.frame[0, 2:]  # any: the background is uniform, see `observe`
-        return contrast + nodes.in_band(empty_radiance(optical, direction))[None]
-
-    def fewer(self, rays: RaySum | None) -> Observation:
-        """The same measurement, predicted by fewer rays where there are such."""
-        if rays is None:
-            return eqx.tree_at(lambda o: (o.leading, o.steering), self, (None, None), is_leaf=lambda x: x is None)
-        lacking = jnp.zeros((2, *self.measurement.value.shape), self.measurement.value.dtype)
-        return Observation(self.measurement, self.scene, rays, None, None, self.beside, lacking)
-
-    def raised(self, residual: Float[Array, "2 row band"]) -> Observation:
-        """The same observation with predictions raised by residuals; as it is where `through` is all rays."""
-        if self.lacking is None:
-            return self
-        more = self.lacking + residual * self.measurement.standard_deviation[None]
-        return eqx.tree_at(lambda o: o.lacking, self, more)
+        return contrast + nodes.in_band(lit.empty(direction))[None]
 
     @eqx.filter_jit
     def effective_share(self, scene: Scene) -> Float[Array, ""]:
         """Effective share of the directions that the traced brdf drew when they serve another scene, see `drift`."""
         ratios = [
-            lax.map(lambda p: density_ratio(p, self.measurement.reflection, self.scene, scene), rays.paths)
+            lax.map(lambda p: density_ratio(p, self.scene, scene), rays.paths)
             for rays in (self.through, self.beside)
             if rays is not None
         ]
@@ -152,7 +100,7 @@ class Observation(eqx.Module):
 
     def holds(self, scene: Scene) -> bool:
         """Whether the images and the starts of the rays still hold the outline of another scene."""
-        return not isinstance(scene.plume, JetPlume) or bool(_held(self, scene))
+        return not scene.plumes or bool(_held(self, scene))
 
 
 @eqx.filter_jit
@@ -179,13 +127,14 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
         ValueError: no ray meets anything, or images are fitted before a background that is not uniform.
     """
     background = scene.background
-    if measurement.per_pixel and not (background is None or isinstance(background, AbstractUniformBackground)):
+    if measurement.per_pixel and not (background is None or background.uniform):
         raise ValueError(f"measurement: got images before a {type(background).__name__}, expected a uniform background")
     measurement = eqx.tree_at(lambda m: m.cameras, measurement, _widened(measurement, scene))
+    for_pixels, for_through, for_beside = jax.random.split(key, 3)
     views = []
     for view in range(measurement.cameras.pixel.shape[0]):
         camera = jax.tree.map(lambda leaf, index=view: leaf[index], measurement.cameras)
-        rays = _rays_of_view(scene, camera, jax.random.fold_in(key, view), measurement.samples)
+        rays = _rays_of_view(scene, camera, jax.random.fold_in(for_pixels, view), measurement.samples)
         views.append(_with_rows(rays, view, measurement))
     rays = jax.tree.map(lambda *leaves: np.concatenate(leaves), *views)
     crosses, on_skin = np.asarray(rays.crosses), np.asarray(rays.face) >= 0
@@ -193,14 +142,19 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
         raise ValueError("measurement: got views in which no ray meets skin or plume, expected the scene in view")
     if moving:
         crosses = np.ones_like(crosses)
-    elif scene.plume is not None and (scene.sources or reflection_of(scene, measurement.reflection) is not None):
+    elif scene.plumes and _lit_by_others(scene, measurement):
         crosses = crosses | on_skin  # the plume dims or sends the light that the skin reflects
     through = _gather(rays, np.flatnonzero(crosses))
-    bare = scene if scene.skin is None or scene.plume is None else eqx.tree_at(lambda s: s.plume, scene, None)
+    bare = scene if scene.skin is None else eqx.tree_at(lambda s: s.plumes, scene, ())
     beside = _merged(bare, measurement, _gather(rays, np.flatnonzero(on_skin & ~crosses)))
-    full = _ray_sum(scene, measurement, through, key)
-    leading, steering = (_ray_sum(scene, measurement, some, key) for some in _thinned(scene, measurement, full))
-    return Observation(measurement, scene, full, leading, steering, _ray_sum(bare, measurement, beside, key), None)
+    sums = ray_sum(scene, measurement, through, for_through), ray_sum(bare, measurement, beside, for_beside)
+    return Observation(measurement, scene, *sums)
+
+
+def _lit_by_others(scene: Scene, measurement: Measurement) -> bool:
+    """Whether the skin reflects anything."""
+    method = measurement.method.resolved(scene)
+    return bool(scene.delta_sources) or method.direct is not None or method.bounces > 0
 
 
 def _widened(measurement: Measurement, scene: Scene) -> Camera:
@@ -218,7 +172,7 @@ def _widened(measurement: Measurement, scene: Scene) -> Camera:
     return eqx.tree_at(lambda c: c.pixel, cameras, jax.vmap(widen)(cameras))
 
 
-class _ViewRays(eqx.Module):
+class ViewRays(eqx.Module):
     """Rays of views: weight, group as in `RaySum`, face met or -1, whether the plume acts on them [ray]."""
 
     rays: Rays
@@ -229,7 +183,7 @@ class _ViewRays(eqx.Module):
 
 
 @eqx.filter_jit
-def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> _ViewRays:
+def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> ViewRays:
     """All rays of one view, along a curve that fills its image.
 
     Weights are those of an intensity, `group` is pixel + (number of pixels) * half, or -1.
@@ -237,10 +191,9 @@ def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> _Vi
     tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
     offset = pixel_samples(key, tile.shape[0], samples)
     count = 2 * offset.shape[0]
-    screen = jax.vmap(lambda o: camera.screen(tile, o))(offset.reshape((count, *offset.shape[2:]))).reshape(-1, 2)
     # on the sphere, if that is further out: a jet may grow inside it, see `Observation.holds`
     start = jnp.maximum(scene.start(camera), scene.radius(camera.target))
-    bundle = camera.bundle(screen, start)
+    bundle = tile_rays(camera, tile, offset, start)
     rays = bundle.rays()
     reach = jnp.full_like(rays.origin[:, 0], jnp.inf)
     face = jnp.full(reach.shape, -1, jnp.int32)
@@ -248,26 +201,23 @@ def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> _Vi
         hit = closest_hit(scene.skin.mesh, bundle)
         reach, face = hit.t, hit.face
     crosses = jnp.zeros(reach.shape, bool)
-    if isinstance(scene.plume, JetPlume):
-        crosses = meets_jet(scene.plume, rays, reach)
-    elif scene.plume is not None:
-        box = jnp.ones((*scene.plume.grid.shape, 1), reach.dtype)
-        crosses = optical_depth(scene.plume.grid, box, rays, reach)[:, 0] > 0
+    if scene.plume is not None:
+        crosses = scene.plume.meets(rays, reach)
     pixel = camera.pixel_index(tile)
     area = camera.pixel_area().reshape(-1)[jnp.maximum(pixel, 0)]
 
     def spread(value: Array) -> Array:
-        return jnp.broadcast_to(value[None], (count, *value.shape)).reshape(-1)
+        return jnp.repeat(value.reshape(-1), count)
 
-    half = jnp.repeat(jnp.arange(count, dtype=jnp.int32) % 2, pixel.size)
+    half = jnp.tile(jnp.arange(count, dtype=jnp.int32) % 2, pixel.size)
     group = jnp.where(spread(pixel) >= 0, spread(pixel) + camera.shape[0] * camera.shape[1] * half, -1)
     size = camera.pixel * max(camera.shape)
-    cell = jnp.clip((screen / size[None, :] + 0.5) * 2**CURVE, 0, 2**CURVE - 1).astype(jnp.int32)
+    cell = jnp.clip((bundle.screen / size[None, :] + 0.5) * 2**CURVE, 0, 2**CURVE - 1).astype(jnp.int32)
     order = jnp.argsort(hilbert_index(cell[:, 0], cell[:, 1], CURVE))
-    return jax.tree.map(lambda leaf: leaf[order], _ViewRays(rays, spread(area / samples), group, face, crosses))
+    return jax.tree.map(lambda leaf: leaf[order], ViewRays(rays, spread(area / samples), group, face, crosses))
 
 
-def _with_rows(rays: _ViewRays, view: int, measurement: Measurement) -> _ViewRays:
+def _with_rows(rays: ViewRays, view: int, measurement: Measurement) -> ViewRays:
     """Groups and weights of a measurement; rays beyond an image's edge dropped."""
     rays = _gather(rays, np.flatnonzero(np.asarray(rays.group) >= 0))
     if measurement.per_pixel:
@@ -277,88 +227,42 @@ def _with_rows(rays: _ViewRays, view: int, measurement: Measurement) -> _ViewRay
     return eqx.tree_at(lambda r: r.group, rays, view + rows * (rays.group >= pixels).astype(np.int32))
 
 
-def _gather(rays: _ViewRays, index: np.ndarray) -> _ViewRays:
+def _gather(rays: ViewRays, index: np.ndarray) -> ViewRays:
     return jax.tree.map(lambda leaf: np.asarray(leaf)[index], rays)  # on the host: every number of rays is another
 
 
-def _merged(scene: Scene, measurement: Measurement, rays: _ViewRays) -> _ViewRays:
+def _merged(scene: Scene, measurement: Measurement, rays: ViewRays) -> ViewRays:
     """One ray for all that meet one face in one view with the same sources in sight.
 
     They have the same radiance where every ray of a view has one direction and light comes from parallel sources
     alone.
     """
-    parallel = all(isinstance(source, ParallelSource) for source in scene.sources)
-    alike = parallel and reflection_of(scene, measurement.reflection) is None
+    method = measurement.method.resolved(scene)
+    parallel = all(source.travel is not None for source in scene.delta_sources)
+    alike = parallel and not method.needs_key(scene)
     if not alike or bool((measurement.cameras.inverse_range > 0).any()) or rays.face.size == 0:
         return rays
     kinds = [np.asarray(rays.group), np.asarray(rays.face)]
-    if scene.sources:
-        lit = eqx.filter_jit(trace)(scene, rays.rays).lit
-        assert lit is not None
-        kinds += list(np.asarray(lit))
+    if scene.delta_sources:
+        vertex = eqx.filter_jit(trace)(scene, rays.rays, method).first.vertex
+        assert vertex is not None
+        kinds += list(np.asarray(vertex.visible))
     _, first, kind = np.unique(np.stack(kinds), axis=1, return_index=True, return_inverse=True)
     weight = np.bincount(kind.reshape(-1), np.asarray(rays.weight, np.float64))
     return eqx.tree_at(lambda r: r.weight, _gather(rays, first), jnp.asarray(weight, rays.weight.dtype))
 
 
-def _thinned(
-    scene: Scene, measurement: Measurement, through: RaySum | None
-) -> tuple[_ViewRays | None, _ViewRays | None]:
-    """About `LEADING` and `STEERING` rays in each group that stand for all rays that meet a jet and no skin.
-
-    Systematic sampling with a probability proportional to what a ray contributes now, averaged over bands, so that
-    each ray kept stands for the same part of its row, along a curve that fills the image, so that it stands for its
-    neighbours. A jet's few parameters act on all of its rays; parameters of the skin may act on a few rays only, so
-    those that meet it stay. None where that leaves most.
-    """
-    if not isinstance(scene.plume, JetPlume) or through is None:
-        return None, None
-    weight, part = (np.asarray(x, np.float64) for x in (through.weight, through.parts(scene, measurement)))
-    group = np.broadcast_to(np.asarray(through.group)[..., None], weight.shape).reshape(-1)
-    weight, part = weight.reshape(-1), part.reshape(-1, part.shape[-1])
-    face = np.full(group.shape, -1) if through.paths.hit is None else np.asarray(through.paths.hit.face).reshape(-1)
-    free, on_skin = np.flatnonzero((face < 0) & (weight > 0)), np.flatnonzero((face >= 0) & (weight > 0))
-    free = free[np.argsort(group[free], kind="stable")]
-    _, of = np.unique(group[free], return_inverse=True)
-    by_light, by_area = _share(part[free], of).mean(axis=1), _share(weight[free, None], of)[:, 0]
-
-    def about(count: int, even: float) -> _ViewRays | None:
-        share = (1 - even) * by_light + even * by_area
-        share = share / np.bincount(of, share)[of]
-        above = np.cumsum(share) - of  # groups lie one behind the other and have a share of 1 each
-        picks = np.floor(count * above + 0.5) - np.floor(count * (above - share) + 0.5)
-        kept = np.flatnonzero(picks > 0)
-        if 2 * kept.size > free.size:
-            return None
-        scaled = weight.copy()
-        scaled[free[kept]] *= picks[kept] / (count * share[kept])
-        index = np.concatenate([on_skin, free[kept]])
-        rays = jax.tree.map(lambda leaf: leaf.reshape(-1, 3)[index], through.paths.rays)
-        group_of, face_of = (jnp.asarray(x[index], jnp.int32) for x in (group, face))
-        scaled_weight = jnp.asarray(scaled[index], through.weight.dtype)
-        return _ViewRays(rays, scaled_weight, group_of, face_of, jnp.ones(index.size, bool))
-
-    return about(LEADING, EVEN), about(STEERING, EVEN_STEERING)
-
-
-def _share(part: np.ndarray, of: np.ndarray) -> np.ndarray:
-    """Parts [ray, band] over their sum in the group `of` each ray; an even share where all are 0."""
-    total = np.stack([np.bincount(of, column) for column in part.T], axis=1)[of]
-    even = (1 / np.bincount(of))[of][:, None]
-    return np.where(total > 0, part / np.where(total > 0, total, 1), even)
-
-
-def _ray_sum(scene: Scene, measurement: Measurement, rays: _ViewRays | None, key: Array) -> RaySum | None:
+def ray_sum(scene: Scene, measurement: Measurement, rays: ViewRays | None, key: Array) -> RaySum | None:
     """Trace rays and lay them out."""
     if rays is None or rays.face.size == 0:
         return None
     index, gap, group = _layout(np.asarray(rays.group), measurement.nodes)
     laid = _gather(rays, index.reshape(index.shape[0], -1))
     paths = _trace_chunks(scene, laid.rays, measurement, jax.random.split(key, index.shape[0]))
-    if paths.crossings is not None:
-        longest = max(1, int(jax.vmap(lambda c: c.longest())(paths.crossings).max()))
-        trimmed = jax.vmap(lambda c: c.trim(longest))(paths.crossings)
-        paths = eqx.tree_at(lambda p: p.crossings, paths, trimmed)
+    if isinstance(paths.route, Crossings):
+        longest = max(1, int(jax.vmap(lambda c: c.longest())(paths.route).max()))
+        trimmed = jax.vmap(lambda c: c.trim(longest))(paths.route)
+        paths = eqx.tree_at(lambda p: p.route, paths, trimmed)
     weight = jnp.where(gap, 0, laid.weight.reshape(index.shape))
     return RaySum(paths, weight, jnp.asarray(group, jnp.int32))
 
@@ -366,8 +270,7 @@ def _ray_sum(scene: Scene, measurement: Measurement, rays: _ViewRays | None, key
 @eqx.filter_jit
 def _trace_chunks(scene: Scene, rays: Rays, measurement: Measurement, keys: Array) -> Paths:
     def chunk(each: tuple[Rays, Array]) -> Paths:
-        traced = trace(scene, each[0], measurement.reflection, each[1], measurement.scattering)
-        return store_crossings(scene, traced)
+        return store_route(scene, trace(scene, each[0], measurement.method, each[1]))
 
     return lax.map(chunk, (rays, keys))
 

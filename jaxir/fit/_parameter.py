@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, float_dtype
-from jaxir.scene.scene import Scene
+from jaxir.scene import Scene
 
 Where = Callable[[Scene], Any]
 

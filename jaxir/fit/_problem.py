@@ -5,23 +5,19 @@ The residuals are (prediction - measured) / standard deviation of every measured
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float, enforce
-from jaxir.fit._measurement import Measurement
-from jaxir.fit._observation import Observation, observe
-from jaxir.fit._parameter import AbstractParameter, Coordinates
+from jaxir.fit._observation import Observation
+from jaxir.fit._parameter import Coordinates
 from jaxir.fit._prior import AbstractPrior
-from jaxir.scene.jet import JetPlume
-from jaxir.scene.scene import Scene
 
 BATCH = 8  # columns or rows of a Jacobian at once
 
@@ -35,6 +31,7 @@ class Problem(eqx.Module):
         priors: of each parameter in order, or None.
         robust: residual (in standard deviations) from which the pseudo-Huber loss grows linearly; inf for squares [].
         key: with which rays were traced.
+        surrogate: fewer rays that lead to the solution, see `_surrogate`; None where all of them walk.
     """
 
     coordinates: Coordinates
@@ -42,6 +39,7 @@ class Problem(eqx.Module):
     priors: tuple[AbstractPrior | None, ...]
     robust: Float[Array, ""]
     key: Key[Array, ""]
+    surrogate: eqx.Module | None
 
     @property
     def data(self) -> int:
@@ -53,7 +51,8 @@ class Problem(eqx.Module):
     def halves(self, z: Float[Array, " p"]) -> tuple[Float[Array, "2 row band"], ...]:
         """Residuals of both halves of the rays, per measurement."""
         scene = self.coordinates.scene(self.coordinates.values(z))
-        return tuple(_deviation(o, o.predict_halves(scene)) for o in self.observations)
+        predicted = ((o.measurement, o.predict_halves(scene)) for o in self.observations)
+        return tuple((halves - m.value[None]) / m.standard_deviation[None] for m, halves in predicted)
 
     def prior(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
         """Residuals of the priors."""
@@ -64,24 +63,6 @@ class Problem(eqx.Module):
     def residual(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
         """All residuals, priors last. Differentiable in both modes."""
         return self.stacked(self.halves(z), self.prior(z))
-
-    @property
-    def thins(self) -> bool:
-        """Whether there are fewer rays that lead near a solution."""
-        return any(o.leading is not None for o in self.observations)
-
-    def leading(self) -> Problem:
-        """The same problem with the few rays that lead near a solution."""
-        return eqx.tree_at(lambda p: p.observations, self, tuple(o.fewer(o.leading) for o in self.observations))
-
-    def steering(self) -> Problem:
-        """The same problem with the rays that tell slopes near a solution."""
-        return eqx.tree_at(lambda p: p.observations, self, tuple(o.fewer(o.steering) for o in self.observations))
-
-    def completed(self, every: tuple[Array, ...], own: tuple[Array, ...]) -> Problem:
-        """The same problem, whose predictions are raised by what `every` residual is above its `own` at some point."""
-        pairs = zip(self.observations, every, own, strict=True)
-        return eqx.tree_at(lambda p: p.observations, self, tuple(o.raised(more - less) for o, more, less in pairs))
 
     def stacked(self, halves: tuple[Array, ...], prior: Array) -> Float[Array, " row"]:
         """One vector of the mean of both halves and the priors."""
@@ -123,62 +104,6 @@ class Problem(eqx.Module):
             measured = eqx.tree_at(lambda m: m.value, observation.measurement, new.reshape(old.shape))
             changed.append(eqx.tree_at(lambda o: o.measurement, observation, enforce(measured, measured.checks())))
         return eqx.tree_at(lambda p: p.observations, self, tuple(changed))
-
-    def retraced(self, scene: Scene) -> Problem:
-        """The same problem with the rays traced anew in another scene, with the same random numbers."""
-        moving = _outline_moves(self.coordinates)
-        again = tuple(
-            observe(scene, o.measurement, jax.random.fold_in(self.key, i), moving)
-            for i, o in enumerate(self.observations)
-        )
-        return eqx.tree_at(lambda p: p.observations, self, again)
-
-
-def _deviation(observation: Observation, halves: Array) -> Float[Array, "2 row band"]:
-    measured = observation.measurement
-    return (halves - measured.value[None]) / measured.standard_deviation[None]
-
-
-def prepare(
-    scene: Scene,
-    parameters: Sequence[AbstractParameter],
-    measurements: Sequence[Measurement],
-    *,
-    priors: Mapping[str, AbstractPrior] | None = None,
-    robust: float = np.inf,
-    key: Key[Array, ""] | None = None,
-) -> Problem:
-    """Check a fit and trace its rays; arguments and errors as `fit`. Solve it as often as values change."""
-    if not measurements:
-        raise ValueError("measurements: got none, expected at least one")
-    if not robust > 0:
-        raise ValueError(f"robust: got {robust}, expected a residual > 0 in standard deviations")
-    scene = enforce(scene, [*scene.checks(), *(c for m in measurements for c in m.checks())])
-    coordinates = Coordinates(parameters, scene)
-    names = [p.name for p in coordinates.parameters]
-    given = priors or {}
-    for name in given:
-        if name not in names:
-            raise ValueError(f"priors: got {name!r}, expected names among {names}")
-    base = jax.random.key(0) if key is None else key
-    moving = _outline_moves(coordinates)
-    observed = tuple(observe(scene, m, jax.random.fold_in(base, i), moving) for i, m in enumerate(measurements))
-    problem = Problem(coordinates, observed, tuple(given.get(name) for name in names), as_float(robust), base)
-    assert problem.data  # counts the priors' residuals, which raises for one that does not suit its parameter
-    return problem
-
-
-def _outline_moves(coordinates: Coordinates) -> bool:
-    """Whether a parameter moves the outline of a jet."""
-    if not isinstance(coordinates.start.plume, JetPlume):
-        return False
-
-    def outline(z: Array) -> Array:
-        plume = coordinates.scene(coordinates.values(z)).plume
-        assert plume is not None
-        return plume.extent()
-
-    return bool((jax.jacfwd(outline)(coordinates.origin()) != 0).any())
 
 
 Residual = Callable[[Array], Array]

@@ -8,7 +8,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from jaxir.scene.scene import Scene
+from jaxir.scene import Scene
 
 UNDETERMINED = 0.5  # standard deviation in natural steps (half an e-fold) from which a combination counts as unknown
 

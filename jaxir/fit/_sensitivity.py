@@ -8,9 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from jaxir.fit._measurement import Measurement
-from jaxir.fit._observation import observe
-from jaxir.optics.surface import Lambert
-from jaxir.scene.scene import Scene
+from jaxir.fit._observation import Observation, observe
+from jaxir.scene import Scene
 
 
 def sensitivity(
@@ -31,19 +30,27 @@ def sensitivity(
         ValueError: no Lambert skin, or a band that the measurement lacks.
     """
     names = measurement.nodes.names
-    if scene.skin is None or not isinstance(scene.skin.brdf, Lambert) or band not in names:
+    if (
+        scene.skin is None
+        or not scene.skin.brdf.diffuse
+        or not hasattr(scene.skin.brdf, "emissivity")
+        or band not in names
+    ):
         skin = "no skin" if scene.skin is None else f"{type(scene.skin.brdf).__name__} skin"
         raise ValueError(f"sensitivity: got band {band!r} and {skin}; expected one of {names} and Lambert skin")
     observed = observe(scene, measurement, jax.random.key(0) if key is None else key, moving=False)
-    emissivity = scene.skin.brdf.hemispherical_emissivity
+    return _slopes(observed, scene, names.index(band))
+
+
+@eqx.filter_jit
+def _slopes(observed: Observation, scene: Scene, band: int) -> tuple[Array, Array]:
+    assert scene.skin is not None
+    emissivity = getattr(scene.skin.brdf, "emissivity")  # noqa: B009, of a Lambert skin
     per_face = jnp.broadcast_to(emissivity, (scene.skin.mesh.count, emissivity.shape[1]))
 
-    @jax.jit
     def total(emissivity: Array, temperature: Array) -> Array:
-        changed = eqx.tree_at(
-            lambda s: (s.skin.brdf.hemispherical_emissivity, s.skin.temperature), scene, (emissivity, temperature)
-        )
-        return observed.predict_halves(changed).mean(axis=0)[:, names.index(band)].sum()
+        changed = eqx.tree_at(lambda s: (s.skin.brdf.emissivity, s.skin.temperature), scene, (emissivity, temperature))
+        return observed.predict_halves(changed).mean(axis=0)[:, band].sum()
 
     by_emissivity, by_temperature = jax.grad(total, argnums=(0, 1))(per_face, scene.skin.temperature)
     return by_emissivity.sum(axis=1), by_temperature

@@ -19,11 +19,13 @@ from jaxtyping import Array, Float, Key
 from jaxir._arrays import as_float
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._parameter import AbstractParameter, Coordinates, at_values
+from jaxir.fit._prepare import prepare, retraced
 from jaxir.fit._prior import AbstractPrior
-from jaxir.fit._problem import Problem, prepare
+from jaxir.fit._problem import Problem
 from jaxir.fit._result import Fit, Uncertainty, uncertainty
-from jaxir.fit._walk import MISLED, approach, linearised, look, settle, stay, walk
-from jaxir.scene.scene import Scene
+from jaxir.fit._surrogate import applies, lead
+from jaxir.fit._walk import linearised, reach
+from jaxir.scene import Scene
 
 LEAP = 1.0  # natural steps from where rays were traced beyond which they are not asked where to trace next
 LEAST_SHARE = 0.5  # effective share of sampled directions below which they are drawn anew
@@ -95,43 +97,24 @@ def solve(
         raise ValueError(f"rounds: got {rounds}, expected an integer >= 1")
     begin = _starts(coordinates, starts)
     size = None if solver is None else _effect(problem, begin[0])
-    leads, reached = problem.thins and solver is None, np.zeros(0)
-    both = jnp.array([True, False])
+    losses = np.zeros(0)
     for traced in range(1, rounds + 1):
-        if leads:
-            judge, walked = problem.steering(), walk(problem.leading(), begin, size, solver, max_steps, both[:1])
+        if solver is None and applies(problem):
+            near, finish = lead(problem, begin, max_steps)
         else:
-            judge, walked = problem, walk(problem, begin, size, solver, max_steps, both)
+            near, finish = reach(problem, begin, size, solver, max_steps)
         if traced == 1:
-            _require_effect(coordinates, walked.size[0])
-        ends = [look(judge, z) for z in walked.end]
-        losses = np.array([float(end.loss) for end in ends])
-        best = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
-        z, seen, steps, result = walked.end[best], ends[best], int(walked.steps[best]), _pick(walked.result, best)
-        if not bool(result == optx.RESULTS.successful):  # the best point is kept
-            before = look(judge, begin[best])
-            z, seen = (z, seen) if seen.loss < before.loss else (begin[best], before)
-        if leads:
-            assert walked.jacobian is not None  # of our own solver
-            asked, more = approach(problem, judge, z, seen, walked.jacobian[best])
-            z, steps = asked.z, steps + more
-        reached = losses if traced == 1 else reached
-        scene = _placed(coordinates, z)[0]
+            _require_effect(coordinates, near.size)
+            losses = near.losses
+        scene = _placed(coordinates, near.z)[0]
         share = effective_share(problem, scene)
         drifted = bool(share < LEAST_SHARE) or not all(o.holds(scene) for o in problem.observations)
         if not drifted or traced == rounds:
             break
-        move = z - begin[best]
-        begin = (begin[best] + move / jnp.maximum(1, jnp.max(jnp.abs(move)) / LEAP))[None]
-        problem = problem.retraced(_placed(coordinates, begin[0])[0])
-    end = settle(problem, judge, asked) if leads else stay(problem, z)
-    steps += end.steps
-    arrived = bool(result == optx.RESULTS.successful) and end.distance <= MISLED
-    if leads and not drifted and not arrived:  # fewer rays have misled
-        walked = walk(problem, end.z[None], size, solver, max_steps, both)
-        result = _pick(walked.result, 0)
-        end = stay(problem, walked.end[0])
-        steps += int(walked.steps[0])
+        move = near.z - near.begin
+        begin = (near.begin + move / jnp.maximum(1, jnp.max(jnp.abs(move)) / LEAP))[None]
+        problem = retraced(problem, _placed(coordinates, begin[0])[0])
+    end = finish(drifted)
     scene, values, slope = _placed(coordinates, end.z)
     seen = end.seen
     error = tuple((half[0] - half[1]) / 2 for half in seen.halves)
@@ -142,13 +125,13 @@ def solve(
         chi_squared=jnp.sum(seen.residual * seen.residual),
         degrees_of_freedom=problem.data - coordinates.count,
         sampling_error=jnp.abs(slope) * _propagated(end.jacobian, error),
-        sampling_chi_squared=sum((jnp.sum(e * e) for e in error), jnp.zeros((), z.dtype)),
-        steps=steps,
-        starts=as_float(reached),
+        sampling_chi_squared=sum((jnp.sum(e * e) for e in error), jnp.zeros((), end.z.dtype)),
+        steps=end.steps,
+        starts=as_float(losses),
         rounds=traced,
         effective_share=share,
         drifted=drifted,
-        solver_result=result,
+        solver_result=end.result,
     )
 
 
@@ -182,10 +165,6 @@ def expected_uncertainty(
     return uncertainty(coordinates.labels, coordinates.units, coordinates.values(z), coordinates.slope(z), jacobian)
 
 
-def _pick(results: optx.RESULTS, start: int) -> optx.RESULTS:
-    return jax.tree.map(lambda leaf: leaf[start], results)
-
-
 @eqx.filter_jit
 def _placed(coordinates: Coordinates, z: Array) -> tuple[Scene, Array, Array]:
     """The scene at z, the physical values there and their slopes dx/dz."""
@@ -214,7 +193,7 @@ def _starts(coordinates: Coordinates, starts: Any) -> Float[Array, "start p"]:
 
 def _effect(problem: Problem, z: Array) -> Float[Array, " p"]:
     """Norm of each column of the Jacobian at the start, none of them 0."""
-    jacobian = linearised(problem.leading(), z)[1]
+    jacobian = linearised(problem, z)[1]
     size = jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0))
     _require_effect(problem.coordinates, size)
     return size

@@ -1,20 +1,11 @@
-"""From starts to the solution of a prepared fit.
+"""From starts to the solution: walks of the solver, and where the best of them ended.
 
-A first walk of the solver on logarithmic residuals leads near the solution, a second on the ordinary ones to it. Where
-fewer rays lead, see `Observation`, there is only the first, on the fewest; `approach` goes on to the minimum z0 of
-those that steer and evaluates all rays there; and `settle` adds to their prediction p what they lack there,
-
-    p(z) + P(z0) - p(z0),
-
-with P of all rays, and goes on to the minimum of that: as multipoint or multifidelity methods correct a cheap model by
-one value of the dear one (Alexandrov et al., "Approximation and model management in aerodynamic optimization with
-variable-fidelity models", J. Aircraft 38(6), 2001). An error E of the slopes leaves its share of the way from z0, and
-at the solution, where J^T r = 0, a distance of |E^T r| that is not seen: with residuals r of some standard deviations
-and the slopes of the rays that steer, a tenth of one or less.
+A first walk on logarithmic residuals leads near the solution, a second on the ordinary ones to it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,17 +17,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float
-from jaxir._concurrent import side_by_side
 from jaxir.fit._descent import LevenbergMarquardt
 from jaxir.fit._problem import Problem, value_and_jacobian, with_jacobian
 
 NEAR, THERE = 3.0, 0.03  # distance from the solution at which walks end [standard deviations]
-MISLED = 0.3  # distance at which fewer rays have led to the wrong place
-APPROACHED = 2.0  # distance from the minimum of the rays that steer at which to ask all rays
-SETTLED = 0.1  # distance from the minimum of all rays that may be left
-SLOPES = 0.03  # error of the slopes of the rays that steer, as a share of the way from where all were evaluated
-LOOKS = 4  # evaluations of all rays at most
-STEPS = 8  # towards the minimum of the rays that steer at most, each time
 DETERMINED = 1.0  # standard deviation in natural steps up to which these move a combination of parameters
 
 
@@ -76,23 +60,75 @@ class Seen(NamedTuple):
     loss: Array
 
 
-class Asked(NamedTuple):
-    """A point, what all rays and those that steer say of it, and the Jacobian of the residuals of the latter."""
+class Solution(NamedTuple):
+    """Where a fit ends.
 
-    z: Array
-    every: Seen
-    seen: Seen
-    jacobian: Array
-
-
-class Settled(NamedTuple):
-    """A point, residuals and Jacobian there, the distance of the solution [standard deviations], steps taken."""
+    Attributes:
+        z: the point [p].
+        seen: residuals there.
+        jacobian: their slopes [row, p].
+        distance: from the minimum of the loss [standard deviations].
+        steps: taken, of the best start.
+        result: code of the solver.
+    """
 
     z: Array
     seen: Seen
     jacobian: Array
     distance: float
     steps: int
+    result: optx.RESULTS
+
+
+class Reached(NamedTuple):
+    """Where the best of several walks ended.
+
+    Attributes:
+        z: the point, or the start where the walk failed and gained nothing [p].
+        seen: residuals there.
+        begin: z where this walk began [p].
+        jacobian: of the residuals walked, where it ended [row, p]; None where another solver walked.
+        size: norms of the columns of the first Jacobian of the first walk [p].
+        losses: where each walk ended [start].
+        steps: of this walk.
+        result: code of the solver.
+    """
+
+    z: Array
+    seen: Seen
+    begin: Array
+    jacobian: Array | None
+    size: Array
+    losses: np.ndarray
+    steps: int
+    result: optx.RESULTS
+
+
+Finish = Callable[[bool], Solution]  # from where a walk ended, given whether the rays suit that place badly
+
+
+def reach(problem: Problem, starts: Array, size: Array | None, solver: Any, max_steps: int) -> tuple[Reached, Finish]:
+    """Walk from every start; arguments as `walk`.
+
+    Returns:
+        Where the best walk ended, and what tells the solution from there.
+    """
+    near = best(problem, starts, walk(problem, starts, size, solver, max_steps, jnp.array([True, False])))
+    return near, lambda drifted: stay(problem, near.z, near.steps, near.result)
+
+
+def best(problem: Problem, starts: Array, walked: Walked) -> Reached:
+    """The walk that ended with the least loss by the rays of a problem."""
+    ends = [look(problem, z) for z in walked.end]
+    losses = np.array([float(end.loss) for end in ends])
+    least = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
+    begin, size = starts[least], walked.size[0]
+    z, seen, steps, result = walked.end[least], ends[least], int(walked.steps[least]), pick(walked.result, least)
+    if not bool(result == optx.RESULTS.successful):  # the best point is kept
+        before = look(problem, begin)
+        z, seen = (z, seen) if seen.loss < before.loss else (begin, before)
+    jacobian = None if walked.jacobian is None else walked.jacobian[least]
+    return Reached(z, seen, begin, jacobian, size, losses, steps, result)
 
 
 @eqx.filter_jit
@@ -167,94 +203,24 @@ def _seen(problem: Problem, z: Array) -> Seen:
     return Seen(halves, residual, robust, bend, jnp.sum(robust * robust))
 
 
-def _ask(problem: Problem, fewer: Problem, z: Array) -> Asked:
-    """The value of all rays and the slopes of fewer, the two dearest parts of a solution, side by side."""
-    every, (seen, jacobian) = side_by_side(lambda: look(problem, z), lambda: linearised(fewer, z))
-    return Asked(z, every, seen, jacobian)
+def stay(problem: Problem, z: Array, steps: int = 0, result: Any = optx.RESULTS.successful) -> Solution:
+    """A point as the solution, with the slopes of all rays there."""
+    seen, jacobian = linearised(problem, z)
+    return Solution(z, seen, jacobian, newton_step(seen, jacobian)[1], steps, result)
 
 
-def approach(problem: Problem, fewer: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[Asked, int]:
-    """From near the solution to about the minimum of the rays that steer: Gauss-Newton steps that lower the loss.
-
-    All rays are asked at every step, while the slopes of the fewer are found: mostly one step is enough, and then
-    their value there is what `settle` needs.
-
-    Args:
-        problem: what to solve.
-        fewer: the same with the rays that steer.
-        z: near the solution [p].
-        seen: of the rays that steer, at z.
-        jacobian: of those that lead, at z.
-
-    Returns:
-        Where it ended, and steps taken.
-    """
-    asked, steps = None, 0
-    step, distance = _step(seen, jacobian)
-    while steps < STEPS and distance > APPROACHED:
-        ahead = _ask(problem, fewer, z + as_float(step))
-        if not ahead.seen.loss < seen.loss:
-            break
-        asked, z, seen, steps = ahead, ahead.z, ahead.seen, steps + 1
-        step, distance = _step(seen, ahead.jacobian)
-    return asked or _ask(problem, fewer, z), steps
-
-
-def settle(problem: Problem, fewer: Problem, asked: Asked) -> Settled:
-    """From about the minimum of the rays that steer to that of all rays.
-
-    Args:
-        problem: what to solve.
-        fewer: the same with the rays that steer.
-        asked: about the minimum of those.
-
-    Returns:
-        Where it ended. Residuals are those of all rays at the last point where they were evaluated, and from there on
-        change as those of the rays that steer.
-    """
-    z, total = asked.z, 0
-    for turn in range(LOOKS):
-        asked = _ask(problem, fewer, z) if turn else asked
-        completed = fewer.completed(asked.every.halves, asked.seen.halves)
-        z, seen, left, steps = _descend(completed, asked.z, asked.every, asked.jacobian)
-        total += steps
-        way = np.asarray(asked.jacobian, np.float64) @ np.asarray(z - asked.z, np.float64)
-        distance = left + SLOPES * float(np.linalg.norm(way))
-        if distance <= SETTLED:
-            break
-    return Settled(z, seen, asked.jacobian, distance, total)
-
-
-def _descend(problem: Problem, z: Array, seen: Seen, jacobian: Array) -> tuple[Array, Seen, float, int]:
-    """Gauss-Newton steps with slopes that stay, as long as they lower the loss; on the host, in double precision.
+def newton_step(seen: Seen, jacobian: Array) -> tuple[np.ndarray, float]:
+    """The step to the solution of the linearised problem, and its distance; in double precision on the host.
 
     Combinations of parameters that the data do not determine stay where they are.
-
-    Returns:
-        The point, what is seen there, the distance that is left, steps taken.
     """
-    steps = 0
-    step, distance = _step(seen, jacobian)
-    while steps < STEPS and distance > THERE:
-        trial = z + as_float(step)
-        ahead = look(problem, trial)
-        if not ahead.loss < seen.loss:
-            break
-        z, seen, steps = trial, ahead, steps + 1
-        step, distance = _step(seen, jacobian)
-    return z, seen, distance, steps
-
-
-def stay(problem: Problem, z: Array) -> Settled:
-    """A point, with the slopes of all rays there."""
-    seen, jacobian = linearised(problem, z)
-    return Settled(z, seen, jacobian, _step(seen, jacobian)[1], 0)
-
-
-def _step(seen: Seen, jacobian: Array) -> tuple[np.ndarray, float]:
-    """The step to the solution of the linearised problem, and its distance."""
     scaled = np.asarray(seen.bend, np.float64)[:, None] * np.asarray(jacobian, np.float64)
     left, singular, right = np.linalg.svd(scaled, full_matrices=False)
     known = singular * DETERMINED > 1
     along = (left.T @ np.asarray(seen.robust, np.float64))[known]
     return -(along / singular[known]) @ right[known], float(np.linalg.norm(along))
+
+
+def pick(results: optx.RESULTS, start: int) -> optx.RESULTS:
+    """The code of one walk."""
+    return jax.tree.map(lambda leaf: leaf[start], results)

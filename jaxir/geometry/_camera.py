@@ -7,14 +7,12 @@ rays traced together share their work.
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key, Shaped
+from jaxtyping import Array, Float, Int, Shaped
 
 from jaxir._arrays import Check, as_float, enforce, finite, positive, require_shape
 from jaxir.geometry._ray import Bundle
@@ -260,34 +258,3 @@ def camera_around(
     half = jnp.max(jnp.abs(camera.project(extent)), axis=0)  # the eye moved along, so the outline is taken again
     half = jnp.maximum(half, 1e-6 * jnp.max(half))  # a plate seen edge-on still has an image
     return eqx.tree_at(lambda c: c.pixel, camera, half * 2.002 / as_float(np.array([columns, rows])))
-
-
-def pixel_strata(samples: int) -> tuple[int, int]:
-    """Columns and rows of strata in a pixel: samples / 2 of them, as square as its divisors allow."""
-    if samples < 2 or samples % 2:
-        raise ValueError(f"samples: got {samples}, expected an even number >= 2 (two points in each stratum)")
-    half = samples // 2
-    rows = max(d for d in range(1, math.isqrt(half) + 1) if half % d == 0)
-    return half // rows, rows
-
-
-def stratum_points(
-    key: Key[Array, ""], index: Int[Array, ""], tiles: int, strata: tuple[int, int]
-) -> Float[Array, "2 tile pixel 2"]:
-    """The two random points of one stratum, for all pixels of some tiles, as places in (0, 1) inside the pixels.
-
-    One random word serves both coordinates: points lie in the middles of 65536 x 65536 cells of the stratum.
-    """
-    cells = as_float(np.array(strata))
-    corner = jnp.stack([index % strata[0], index // strata[0]]).astype(cells.dtype)
-    word = jax.random.bits(jax.random.fold_in(key, index), (2, tiles, TILE * TILE), jnp.uint32)
-    halves = jnp.stack([word >> 16, word & 0xFFFF], axis=-1)
-    jitter = (halves.astype(cells.dtype) + 0.5) / 65536
-    return (corner[None, None, None, :] + jitter) / cells[None, None, None, :]
-
-
-def pixel_samples(key: Key[Array, ""], tiles: int, samples: int) -> Float[Array, "stratum 2 tile pixel 2"]:
-    """Places inside pixels in [0, 1): two independent points in each of samples / 2 strata."""
-    strata = pixel_strata(samples)
-    index = jnp.arange(strata[0] * strata[1], dtype=jnp.int32)
-    return jax.vmap(lambda i: stratum_points(key, i, tiles, strata))(index)

@@ -44,6 +44,18 @@ class Grid(eqx.Module):
         unit = as_float(np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]))
         return self.origin[None, :] + unit * (self.spacing * as_float(np.array(self.shape)))[None, :]
 
+    def entry(self, origin: Float[Array, " 3"], direction: Float[Array, " 3"]) -> Float[Array, ""]:
+        """Where a ray enters the box, if it does; 0 from inside [m]."""
+        moving = direction != 0
+        safe = jnp.where(moving, direction, 1)
+        near, far = ((corner - origin) / safe for corner in (self.origin, self.origin + self.size))
+        return jnp.max(jnp.where(moving, jnp.minimum(near, far), 0), initial=0)
+
+    @property
+    def size(self) -> Float[Array, " 3"]:
+        """Edges of the box [3] [m]."""
+        return self.spacing * as_float(np.array(self.shape))
+
     def checks(self) -> list[Check]:
         """The corner is finite, cells have positive size."""
         return [finite("Grid.origin", self.origin), positive("Grid.spacing", self.spacing)]

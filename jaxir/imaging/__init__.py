@@ -1,9 +1,7 @@
 """Entries: radiance image with standard error, radiant intensity, signature over aspects."""
 
 from jaxir.imaging._chunks import Pass as Pass
-from jaxir.imaging._chunks import compiled_radiometry as compiled_radiometry
 from jaxir.imaging._chunks import estimate_chunk as estimate_chunk
-from jaxir.imaging._chunks import method_of as method_of
 from jaxir.imaging._chunks import whole_image as whole_image
 from jaxir.imaging._devices import is_traced as is_traced
 from jaxir.imaging._devices import item_by_item as item_by_item

@@ -12,18 +12,12 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, enforce
-from jaxir.geometry import TILE, Camera, pixel_strata, stratum_points
+from jaxir.geometry import TILE, Camera, pixel_strata, stratum_points, tile_rays
 from jaxir.geometry.search import may_see
 from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene.background import AbstractUniformBackground
-from jaxir.scene.scene import Scene
-from jaxir.transport.evaluate import empty_radiance, evaluate, evaluate_orders
-from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
-from jaxir.transport.paths import trace
-from jaxir.transport.radiometry import Radiometry, compiled_radiometry
-from jaxir.transport.reflection import Reflection, reflection_of
-from jaxir.transport.scattering import Scattering, scattering_of
+from jaxir.scene import Lit, Scene, compiled_on_nodes
+from jaxir.transport import Method, evaluate_orders, method_checks, trace
 
 TILES = 64  # of a chunk at most
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in the cache
@@ -31,37 +25,6 @@ BLOCKS = 3  # in which the tiles of a chunk are traced at least, so that those t
 PARTS = 8  # chunks of a small image, for so many devices to share
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
 STRATA_AT_ONCE = 8  # of a pixel, whose rays are traced side by side: bundles then cover fewer pixels and faces
-
-
-class Method(eqx.Module):
-    """How radiance is found where there is a choice.
-
-    Attributes:
-        reflection: how light reflected by the skin is found; None where delta sources alone light it.
-        scattering: how often paths are scattered by particles; None without particles.
-        path: estimator of a gridded plume's radiance along a ray.
-    """
-
-    reflection: Reflection | None
-    scattering: Scattering | None
-    path: AbstractPathEstimator
-
-    @eqx.filter_jit
-    def checks(self, scene: Scene) -> list[Check]:
-        """The method suits the scene; compiled, because a closed form looks at every pair of face and vertex."""
-        return [] if self.reflection is None else self.reflection.checks(scene)
-
-    def samples(self, scene: Scene) -> int:
-        """Directions recorded for each ray."""
-        at_skin = 1 if self.reflection is None else self.reflection.samples(scene)
-        return at_skin if self.scattering is None else at_skin + self.scattering.orders
-
-
-def method_of(
-    scene: Scene, reflection: Reflection | None, scattering: Scattering | None, path: AbstractPathEstimator
-) -> Method:
-    """What is asked, with `Reflection()` for area sources and `Scattering()` for particles where nothing is."""
-    return Method(reflection_of(scene, reflection), scattering_of(scene, scattering), path)
 
 
 class Estimate(NamedTuple):
@@ -81,7 +44,7 @@ class Pass(NamedTuple):
     """One pass over the pixels of an image.
 
     Attributes:
-        optical: the scene on the nodes.
+        lit: the scene on the nodes.
         camera: the eye.
         key: random key.
         strata: columns and rows of strata in a pixel.
@@ -89,7 +52,7 @@ class Pass(NamedTuple):
         parts: chunks into which a small image is cut all the same.
     """
 
-    optical: Radiometry
+    lit: Lit
     camera: Camera
     key: Array
     strata: tuple[int, int]
@@ -126,7 +89,7 @@ class Pass(NamedTuple):
     @property
     def _each(self) -> int:
         """Rays that a ray counts for, by the samples that it carries."""
-        return -(-self.method.samples(self.optical.scene) // SAMPLES_AT_ONCE)
+        return -(-self.method.samples(self.lit.scene) // SAMPLES_AT_ONCE)
 
     @property
     def tiles(self) -> int:
@@ -154,9 +117,9 @@ def first_pass(
 ) -> Pass:
     """A pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
     strata = pixel_strata(samples)
-    checks = [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method.checks(scene)]
-    optical = compiled_radiometry(scene, enforce(as_nodes(bands), checks))
-    return Pass(optical, camera, key, strata, method, parts)
+    checks = [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method_checks(method, scene)]
+    lit = compiled_on_nodes(scene, enforce(as_nodes(bands), checks))
+    return Pass(lit, camera, key, strata, method.resolved(scene), parts)
 
 
 @eqx.filter_jit
@@ -170,7 +133,7 @@ def whole_image(taken: Pass, parts: Estimate) -> Image:
         orders = _untile(camera, parts.orders.reshape((*parts.orders.shape[:3], -1)))
         orders = orders.reshape((*orders.shape[:2], 2, -1))
     samples = 2 * taken.strata[0] * taken.strata[1]
-    return image_of(camera, taken.optical.nodes.names, mean, variance, empty, samples, orders)
+    return image_of(camera, taken.lit.nodes.names, mean, variance, empty, samples, orders)
 
 
 def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
@@ -185,12 +148,11 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
 
     Before a uniform background no ray is taken in tiles that see nothing of the scene.
     """
-    optical, camera, key, strata, method, _ = taken
-    background = optical.scene.background
-    uniform = background is None or isinstance(background, AbstractUniformBackground)
-    empty = optical.nodes.in_band(empty_radiance(optical, camera.frame[:1, None])) if uniform else None
-    tile, together, start = taken.tile(chunk), taken.tiles_at_once, optical.scene.start(camera)
-    some = may_see(optical.scene.outline(), camera, tile) if uniform else jnp.ones(tile.shape, bool)
+    lit, camera, key = taken.lit, taken.camera, taken.key
+    uniform = lit.scene.background is None or lit.scene.background.uniform
+    empty = lit.nodes.in_band(lit.empty(camera.frame[:1, None])) if uniform else None
+    tile, together, start = taken.tile(chunk), taken.tiles_at_once, lit.scene.start(camera)
+    some = may_see(lit.scene.outline(), camera, tile) if uniform else jnp.ones(tile.shape, bool)
     order = jnp.argsort(~some, stable=True)  # tiles that see something go together
 
     def block(own: tuple[Array, Array, Array]) -> tuple[_Seen, Array]:
@@ -217,9 +179,9 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
 def _dark(taken: Pass, empty: Array | None) -> _Seen:
     """No light in the pixels of the tiles that are handled at once."""
     pixels = (taken.tiles_at_once, TILE * TILE)
-    bands, dtype = taken.optical.nodes.response.shape[0], taken.camera.pixel.dtype
+    bands, dtype = taken.lit.nodes.response.shape[0], taken.camera.pixel.dtype
     zero = jnp.zeros((*pixels, bands), dtype)
-    orders = None if taken.method.scattering is None else jnp.zeros((*pixels, 2, bands), dtype)
+    orders = None if not taken.lit.scene.scatters else jnp.zeros((*pixels, 2, bands), dtype)
     return _Seen(zero, zero if empty is None else None, orders)
 
 
@@ -227,27 +189,20 @@ def _estimate(
     taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], start: Float[Array, ""], empty: Array | None
 ) -> tuple[_Seen, Array]:
     """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
-    optical, camera, _, strata, method, _ = taken
+    lit, camera, _, strata, method, _ = taken
     size, some, count = tile.shape[0], taken.strata_at_once, strata[0] * strata[1]
+    for_pixels, for_paths = jax.random.split(own)
 
     def group(carry: tuple[_Seen, Array], first: Array) -> tuple[tuple[_Seen, Array], None]:
         index = first + jnp.arange(some, dtype=jnp.int32)
-        offset = jax.vmap(lambda i: stratum_points(own, i, size, strata))(index)
-        screen = jax.vmap(jax.vmap(lambda o: camera.screen(tile, o)))(offset)
-        screen = screen.transpose(2, 3, 0, 1, 4).reshape(-1, 2)  # the rays of a pixel side by side
-        anew = jax.random.fold_in(jax.random.fold_in(own, first), 1)
-        paths = trace(optical.scene, camera.bundle(screen, start), method.reflection, anew, method.scattering)
-        orders = None
-        if paths.scatter is not None and isinstance(method.path, CellSum):
-            parts = evaluate_orders(optical, paths, method.reflection)
-            radiance, orders = parts.radiance, jnp.stack([parts.last, parts.before], axis=1)
-        else:
-            along = None if isinstance(method.path, CellSum) else jax.random.fold_in(anew, 1)
-            radiance = evaluate(optical, paths, method.reflection, method.path, along)
-        without = empty_radiance(optical, paths.rays.direction) if empty is None else None
+        offset = jax.vmap(lambda i: stratum_points(for_pixels, i, size, strata))(index)
+        bundle = tile_rays(camera, tile, offset, start)
+        parts = evaluate_orders(lit, trace(lit.scene, bundle, method, jax.random.fold_in(for_paths, first)))
+        orders = jnp.stack([parts.last, parts.before], axis=1) if lit.scene.scatters else None
+        without = lit.empty(bundle.rays().direction) if empty is None else None
         seen = jax.tree.map(
-            lambda value: optical.nodes.in_band(value).reshape((size, TILE * TILE, some, 2, *value.shape[1:-1], -1)),
-            _Seen(radiance, without, orders),
+            lambda value: lit.nodes.in_band(value).reshape((size, TILE * TILE, some, 2, *value.shape[1:-1], -1)),
+            _Seen(parts.radiance, without, orders),
         )
 
         def added(value: Array) -> Array:

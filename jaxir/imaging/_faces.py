@@ -11,10 +11,8 @@ from jaxtyping import Array, Float
 from jaxir._arrays import enforce
 from jaxir.geometry import view_frame
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene.scene import Scene
-from jaxir.scene.source import ParallelSource
-from jaxir.transport.evaluate import unoccluded_radiance
-from jaxir.transport.radiometry import radiometry
+from jaxir.scene import Scene
+from jaxir.transport import unoccluded_radiance
 
 
 def unoccluded_intensity(
@@ -41,17 +39,15 @@ def unoccluded_intensity(
 
     Differentiable in every radiometric leaf, in the vertices, and in the aspect.
     """
-    if scene.skin is None or scene.plume is not None:
+    if scene.skin is None or scene.plumes:
         raise ValueError("scene: got a plume or no skin, expected skin alone; use render or signature for plumes")
-    if scene.area_sources or not all(isinstance(source, ParallelSource) for source in scene.delta_sources):
+    if scene.area_sources or any(source.travel is None for source in scene.delta_sources):
         raise ValueError("scene: got sources at a finite distance, expected parallel ones; use render or signature")
     nodes = enforce(as_nodes(bands), scene.checks())
-    optical = radiometry(scene, nodes)
+    lit = scene.on(nodes)
     toward = view_frame(azimuth, elevation)[2]
     vector = scene.skin.mesh.area_vectors()
     projected = jnp.maximum(jnp.sum(vector * toward[None, :], axis=-1), 0)
-    radiance = unoccluded_radiance(optical, toward)
+    radiance = unoccluded_radiance(lit, toward)
     intensity = jnp.sum(projected[:, None] * radiance, axis=0)
-    if optical.transmittance is not None:
-        intensity = intensity * optical.transmittance
-    return nodes.in_band(intensity)
+    return nodes.in_band(lit.dimmed_by_air(intensity))

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxir._math import safe_sqrt
 from jaxir.geometry import Camera
 
 
@@ -59,18 +60,19 @@ class Image(eqx.Module):
         """
         area = self.camera.pixel_area()
         variance = jnp.sum((self.standard_error * area[:, :, None]) ** 2, axis=(0, 1))
-        return _sqrt_or_zero(variance)
+        return safe_sqrt(variance)
 
-    def missing(self) -> Float[Array, " band"]:
+    @property
+    def truncation(self) -> Float[Array, " band"]:
         """Share of the radiant intensity that orders of scattering beyond the last would add, estimated [band].
 
-        See `missing_share`; 0 without particles.
+        See `truncated_share`; 0 without particles.
         """
         intensity = self.radiant_intensity()
-        return jnp.zeros_like(intensity) if self.orders is None else missing_share(self.orders, intensity)
+        return jnp.zeros_like(intensity) if self.orders is None else truncated_share(self.orders, intensity)
 
 
-def missing_share(orders: Float[Array, "*view 2 band"], intensity: Float[Array, "*view band"]) -> Array:
+def truncated_share(orders: Float[Array, "*view 2 band"], intensity: Float[Array, "*view band"]) -> Array:
     """What is left out beyond the last order of scattering, as a share of the intensity [*view, band].
 
     Orders fall at last like a geometric series: the rest is last r / (1 - r) with r = last / one before; inf where
@@ -96,7 +98,7 @@ def image_of(
     area = camera.pixel_area()[:, :, None, None]
     whole = None if orders is None else jnp.sum(orders * area, axis=(0, 1))
     taken = jnp.asarray(samples, jnp.int32)
-    return Image(mean, _sqrt_or_zero(variance), empty, camera, bands, taken, Outcome.samples_taken, whole)  # type: ignore
+    return Image(mean, safe_sqrt(variance), empty, camera, bands, taken, Outcome.samples_taken, whole)  # type: ignore
 
 
 def meets(image: Image, rtol: float) -> bool:
@@ -115,8 +117,3 @@ def joined(image: Image, more: Image) -> Image:
         (more.radiance, more.empty, more.orders),
     )
     return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders)
-
-
-def _sqrt_or_zero(value: Array) -> Array:
-    """Square root with a derivative of 0 at 0."""
-    return jnp.where(value > 0, jnp.sqrt(jnp.where(value > 0, value, 1)), 0)

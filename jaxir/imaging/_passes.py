@@ -11,16 +11,14 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
 from jaxir.geometry import Camera, pixel_strata
-from jaxir.imaging._chunks import PARTS, estimate_chunk, first_pass, method_of, whole_image
+from jaxir.imaging._chunks import PARTS, estimate_chunk, first_pass, whole_image
 from jaxir.imaging._devices import is_traced, over_items, shared_by
 from jaxir.imaging._image import Image, Outcome, joined, meets
 from jaxir.imaging._pilot import well_shaped
 from jaxir.imaging._planning import FEW, plan_pass, require_rtol
 from jaxir.optics.spectrum import Band, Nodes
-from jaxir.scene.scene import Scene
-from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
-from jaxir.transport.reflection import Reflection
-from jaxir.transport.scattering import Scattering
+from jaxir.scene import Scene
+from jaxir.transport import Method
 
 
 def render(
@@ -30,11 +28,9 @@ def render(
     *,
     samples: int | None = None,
     key: Key[Array, ""] | None = None,
-    reflection: Reflection | None = None,
-    scattering: Scattering | None = None,
+    method: Method | None = None,
     rtol: float | None = None,
     max_samples: int = 4096,
-    path: AbstractPathEstimator = CellSum(),  # noqa: B008
     devices: Mesh | None = None,
 ) -> Image:
     """Radiance image of a scene.
@@ -54,15 +50,11 @@ def render(
         bands: bands (one gray node each) or spectral nodes.
         samples: rays per pixel; even. By default 8, or with rtol what `jaxir.plan` finds.
         key: random key; a fixed one by default, so results repeat.
-        reflection: how light from lights with an extent, from the background and from the skin itself is found; see
-            `jaxir.trace`. By default delta sources alone light the skin, and area sources are served by
-            `Reflection()`, or with rtol alone as `jaxir.plan` finds cheapest.
-        scattering: how often paths are scattered by particles; by default `Scattering()` where there are any.
+        method: how light is found; by default `Method()`, or with rtol alone as `jaxir.plan` finds cheapest.
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
             the intensity: passes of `samples` if given, else as `jaxir.plan` foretells. None takes one pass.
             `Image.outcome` says whether it was met.
         max_samples: rays per pixel at which to give up.
-        path: estimator of a gridded plume's radiance along a ray; the exact sum over cells unless asked otherwise.
         devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
             `jax.distributed.initialize`, in many; every process gets the whole image. The numbers are those of one
             device; for more than `PARTS` = 8 devices and fewer than 8 full chunks they are drawn anew.
@@ -80,33 +72,32 @@ def render(
     key = jax.random.key(0) if key is None else key
     planned = samples is None and rtol is not None
     if rtol is not None:
-        if is_traced((scene, camera, key, reflection, scattering, path)):
+        if is_traced((scene, camera, key, method)):
             raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
         require_rtol(rtol)
     samples = 8 if samples is None else samples
     least = FEW if planned else samples
     if max_samples < least:
         raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
-    method = method_of(scene, reflection, scattering, path)
     parts = PARTS if devices is None else max(PARTS, devices.size)
-    first = first_pass(scene, camera, bands, key, least, method, parts)
+    for_pilots, for_passes = jax.random.split(key)
+    first = first_pass(scene, camera, bands, for_pilots, least, Method() if method is None else method, parts)
     if planned and rtol is not None:
-        pilots = first._replace(key=jax.random.fold_in(key, 0), parts=PARTS)
-        found = plan_pass(pilots, rtol, max_samples, reflection is not None)
+        found = plan_pass(first._replace(parts=PARTS), rtol, max_samples, method is not None)
         samples, first = found.samples, first._replace(method=found.method)
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 
-    def take(own: Array, samples: int) -> Image:
-        taken = first._replace(key=own, strata=pixel_strata(samples))
+    def take(number: int, samples: int) -> Image:
+        taken = first._replace(key=jax.random.fold_in(for_passes, number), strata=pixel_strata(samples))
         return whole_image(taken, over_items(estimate_chunk, taken, taken.chunks(), "render", mesh))
 
-    image, passes = take(key, samples), 0
+    image, passes = take(0, samples), 0
     if rtol is None:
         return image
     while not meets(image, rtol) and int(image.samples) + samples <= max_samples:
         passes += 1
         more = top_up(image, rtol, samples) if planned else samples
-        image = joined(image, take(jax.random.fold_in(key, passes), more))
+        image = joined(image, take(passes, more))
     outcome = Outcome.tolerance_met if meets(image, rtol) else Outcome.samples_spent
     return eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,30 +12,13 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from jaxir._arrays import enforce, float_dtype
-from jaxir.geometry import Camera, Sobol, pixel_strata
-from jaxir.imaging._chunks import Method, Pass, first_pass, method_of
+from jaxir.geometry import AbstractSampler, Camera, Sobol, pixel_strata
+from jaxir.imaging._chunks import Pass, first_pass
 from jaxir.imaging._devices import is_traced
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.optics.spectrum import Band, Nodes
-from jaxir.optics.surface import Lambert
-from jaxir.scene.plume import GridPlume
-from jaxir.scene.scene import Scene
-from jaxir.transport.path_estimator import (
-    AbstractPathEstimator,
-    CellSum,
-    CombinedIntegration,
-    LineIntegration,
-    PointIntegration,
-)
-from jaxir.transport.radiometry import Radiometry, cell_lights
-from jaxir.transport.reflection import (
-    BrdfSampling,
-    ClosedForm,
-    LightSampling,
-    MultipleImportance,
-    Reflection,
-)
-from jaxir.transport.scattering import Scattering
+from jaxir.scene import Lit, Scene
+from jaxir.transport import ClosedForm, DirectSampling, Method, method_checks
 
 FEW = 2  # rays per pixel of the first pilots
 MORE = (12, 128)  # at least and at most, of the second
@@ -62,7 +46,7 @@ class Plan(NamedTuple):
 
     Attributes:
         terms: of the transport, in the order in which light meets them on its way back from the eye.
-        method: what `render` is to take as `reflection`, `scattering` and `path`.
+        method: what `render` is to take.
         samples: rays per pixel, in one pass.
         seconds: predicted, of the rays on the device in force; compiling and the call, some milliseconds, come on top.
         compile_seconds: what compiling the chosen method's pilot took.
@@ -102,10 +86,8 @@ def plan(
     rtol: float,
     *,
     key: Key[Array, ""] | None = None,
-    reflection: Reflection | None = None,
-    scattering: Scattering | None = None,
+    method: Method | None = None,
     max_samples: int = 4096,
-    path: AbstractPathEstimator | None = None,
 ) -> Plan:
     """How to meet a tolerance on the intensity of every band, and at what cost, before an image is computed.
 
@@ -119,10 +101,8 @@ def plan(
         bands: bands or nodes.
         rtol: standard error of the radiant intensity of every band over the intensity.
         key: random key of the pilots.
-        reflection: kept if given; else chosen, where the scene has sources with an extent.
-        scattering: how often paths are scattered by particles; `Scattering()` where there are any.
+        method: kept if given; else its `direct` and `sampler` are chosen, where the scene has sources with an extent.
         max_samples: rays per pixel that must suffice.
-        path: kept if given.
 
     Returns:
         The plan; `print` it.
@@ -131,21 +111,21 @@ def plan(
         ValueError: as `jaxir.render`; rtol <= 0 or beyond the precision in force, with the precision it needs.
     """
     require_rtol(rtol)
-    if is_traced((scene, camera, key, reflection, scattering, path)):
+    if is_traced((scene, camera, key, method)):
         raise ValueError("plan: got values known only inside jit, expected a call outside it")
-    key = jax.random.key(0) if key is None else key
-    given = method_of(scene, reflection, scattering, CellSum() if path is None else path)
-    return plan_pass(first_pass(scene, camera, bands, key, FEW, given), rtol, max_samples, reflection is not None)
+    key = jax.random.split(jax.random.key(0) if key is None else key)[0]  # as `render` splits it
+    given = Method() if method is None else method
+    return plan_pass(first_pass(scene, camera, bands, key, FEW, given), rtol, max_samples, method is not None)
 
 
 def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> Plan:
-    """`plan` for a pass of `FEW` rays per pixel that was checked; `asked`: its reflection is not to be chosen."""
-    scene, given = first.optical.scene, first.method
+    """`plan` for a pass of `FEW` rays per pixel that was checked; `asked`: its method is not to be chosen."""
+    scene, given = first.lit.scene, first.method
     methods = [given] if asked else _candidates(scene, given)
     trials = [_Trial(method, pilot(first._replace(method=method))) for method in methods]
     chosen = _cheapest(trials, first, rtol, most)
     terms = (
-        *_along_the_ray(first.optical, first.camera, chosen.trial.method),
+        *_along_the_ray(first.lit, first.camera),
         *_by_particles(scene, chosen.trial.method),
         *_at_the_skin(scene, trials, chosen, asked),
         *_beyond(scene),
@@ -169,24 +149,27 @@ class _Choice(NamedTuple):
 
 
 def _candidates(scene: Scene, given: Method) -> list[Method]:
-    """Ways to find reflected light; where one without variance applies, it and the cheapest draw."""
-    if scene.skin is None or not scene.area_sources:  # nothing to be sampled
+    """Ways to find direct light; where one without variance applies, it and the cheapest draw."""
+    if scene.skin is None or not scene.area_sources:  # nothing to choose
         return [given]
-    closed = Method(Reflection(ClosedForm()), given.scattering, given.path)
+
+    def by(direct: DirectSampling | ClosedForm, sampler: AbstractSampler | None = None) -> Method:
+        chosen = given.sampler if sampler is None else sampler
+        return dataclasses.replace(given, direct=direct, sampler=chosen)
+
+    closed = by(ClosedForm())
     try:
-        enforce(scene.skin.temperature, closed.checks(scene))
-        return [closed, Method(Reflection(LightSampling(1)), given.scattering, given.path)]
+        enforce(scene.skin.temperature, method_checks(closed, scene))
+        return [closed, by(DirectSampling(1, 0))]
     except ValueError:
         pass
     ways = [
-        Reflection(LightSampling(1)),
-        Reflection(MultipleImportance(1, 1)),
-        Reflection(LightSampling(16), sampler=Sobol()),
-        Reflection(MultipleImportance(8, 8), sampler=Sobol()),
+        by(DirectSampling(1, 0)),
+        by(DirectSampling(1, 1)),
+        by(DirectSampling(16, 0), Sobol()),
+        by(DirectSampling(8, 8), Sobol()),
     ]
-    if not isinstance(scene.skin.brdf, Lambert):
-        ways.append(Reflection(BrdfSampling(1)))
-    return [Method(way, given.scattering, given.path) for way in ways]
+    return ways if scene.skin.brdf.diffuse else [*ways, by(DirectSampling(0, 1))]
 
 
 def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Choice:
@@ -231,49 +214,36 @@ def _choice(trial: _Trial, law: ErrorLaw, growth: float, rtol: float, most: int)
     return _Choice(trial, law, samples, seconds, expected if error.any() else 0.0)
 
 
-def _along_the_ray(optical: Radiometry, camera: Camera, method: Method) -> list[Term]:
-    scene = optical.scene
-    if scene.plume is None:
+def _along_the_ray(lit: Lit, camera: Camera) -> list[Term]:
+    if lit.medium is None:
         return []
-    if not isinstance(scene.plume, GridPlume):
-        sentence = (
-            f"integrated along every ray by {scene.plume.panels} panels of a fourth-order quadrature, no sampling"
-        )
-        return [Term("Jet", True, sentence)]
-    depth = _depth(optical, camera)
-    ways = {"point": PointIntegration(), "line": LineIntegration(), "combined": CombinedIntegration()}
-    spread = {name: float(way.relative_variance(jnp.maximum(depth, 1e-6))) for name, way in ways.items()}
-    least = min(spread, key=lambda name: spread[name])
-    if not isinstance(method.path, CellSum):
-        sentence = f"{type(method.path).__name__}, as asked, samples every ray although the sum over cells is exact"
-        return [Term("Plume", False, sentence)]
-    sentence = (
-        f"the exact sum over the cells of every ray, without variance, where the best sampled estimator, {least}, "
-        f"would have a relative variance of {spread[least]:.2g} a ray at the largest optical depth, {float(depth):.2g}"
-    )
+    each = ", ".join(plume.described() for plume in lit.scene.plumes)
+    depth = float(_depth(lit, camera))
+    sentence = f"{each}: integrated along every ray, no sampling; the largest optical depth is {depth:.2g}"
     return [Term("Plume", True, sentence)]
 
 
 def _by_particles(scene: Scene, method: Method) -> list[Term]:
-    if method.scattering is None:
+    if not scene.scatters:
         return []
-    once = "parallel light scattered once is summed over the cells, " if cell_lights(scene) else ""
-    orders = method.scattering.orders
-    if orders == 0:
+    once = "parallel light scattered once is summed over the cells, " if scene.summed_beams else ""
+    if method.orders == 0:
         return [Term("Particles", True, f"{once}light scattered more often is left out, as asked")]
-    sentence = f"{once}the rest sampled by forced collision up to {orders} times; `Image.missing` tells the rest"
+    sentence = (
+        f"{once}the rest sampled by forced collision up to {method.orders} times; `Image.truncation` tells the rest"
+    )
     return [Term("Particles", False, sentence)]
 
 
-def _depth(optical: Radiometry, camera: Camera) -> Array:
+def _depth(lit: Lit, camera: Camera) -> Array:
     """The largest optical depth on a raster of 16 x 16 rays across the image."""
-    assert optical.medium is not None
+    assert lit.medium is not None
     place = (np.arange(16) + 0.5) / 16 - 0.5
     size = np.asarray(camera.pixel) * np.array(camera.shape[::-1])
     x, y = np.meshgrid(place * size[0], place * size[1])
     screen = jnp.asarray(np.stack([x.ravel(), y.ravel()], axis=1), camera.pixel.dtype)
-    rays = camera.bundle(screen, optical.scene.start(camera)).rays()
-    passed = optical.medium.transmittance(rays, jnp.full(rays.count, jnp.inf, screen.dtype))
+    rays = camera.bundle(screen, lit.scene.start(camera)).rays()
+    passed = lit.medium.transmittance(rays, jnp.full(rays.count, jnp.inf, screen.dtype))
     return -jnp.log(jnp.maximum(jnp.min(passed), jnp.finfo(passed.dtype).tiny))
 
 
@@ -286,29 +256,28 @@ def _at_the_skin(scene: Scene, trials: list[_Trial], chosen: _Choice, asked: boo
     if scene.delta_sources:
         sentence = f"{len(scene.delta_sources)} without extent, each evaluated with its shadow at every point met"
         terms.append(Term("Sources", True, sentence))
-    reflection = chosen.trial.method.reflection
-    if reflection is None:
+    method = chosen.trial.method.resolved(scene)
+    if method.direct is None and method.bounces == 0:
         return terms
-    name = _name(reflection)
-    exact = isinstance(reflection.direct, ClosedForm) and reflection.bounces == 0
-    if asked:
-        sentence = f"by {name}, as asked"
+    name = _name(method)
+    exact = isinstance(method.direct, ClosedForm) and method.bounces == 0
+    if asked or len(trials) == 1:
+        sentence = f"by {name}, as {'asked' if asked else 'by default'}"
     elif exact:
         sentence = f"by {name}, whose conditions hold: no samples and no variance of its own"
     else:
         others = [t for t in trials if t is not chosen.trial]
         sentence = f"sampled by {name}, the cheapest of {len(trials)} in pilots: " + ", ".join(
-            f"{_efficiency(chosen.trial, other):.2g} times the time of {_name(other.method.reflection)}"
-            for other in others
+            f"{_efficiency(chosen.trial, other):.2g} times the time of {_name(other.method)}" for other in others
         )
     return [*terms, Term("Reflected light", exact, sentence)]
 
 
-def _name(reflection: Reflection | None) -> str:
-    assert reflection is not None
-    counts = ", ".join(str(count) for count in reflection.direct.counts() if count)
-    bounces = f" and {reflection.bounces} bounces" if reflection.bounces else ""
-    return f"{type(reflection.direct).__name__}({counts}) with {type(reflection.sampler).__name__} points{bounces}"
+def _name(method: Method) -> str:
+    light = "nothing" if method.direct is None else type(method.direct).__name__
+    counts = ", ".join(f"{n} of {what}" for n, what in zip(method.counts, ("each light", "the brdf"), strict=True) if n)
+    samples = f"({counts}) with {type(method.sampler).__name__} points" if counts else ""
+    return f"{light}{samples}{f' and {method.bounces} bounces' if method.bounces else ''}"
 
 
 def _efficiency(one: _Trial, other: _Trial) -> float:

@@ -15,15 +15,11 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, as_float, enforce
 from jaxir.geometry import Camera, pixel_strata
-from jaxir.imaging._chunks import Method, Pass, estimate_chunk, eye_outside, method_of, whole_image
+from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, whole_image
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene.scene import Scene
-from jaxir.transport.brightness import graded_cameras
-from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
-from jaxir.transport.radiometry import Radiometry, compiled_radiometry
-from jaxir.transport.reflection import Reflection
-from jaxir.transport.scattering import Scattering
+from jaxir.scene import Lit, Scene, compiled_on_nodes
+from jaxir.transport import Method, graded_cameras, method_checks
 
 
 class Signature(eqx.Module):
@@ -35,8 +31,8 @@ class Signature(eqx.Module):
         intensity: contrast intensity, see `Image.radiant_intensity` [view, band] [W sr-1].
         standard_error: of `intensity` [view, band] [W sr-1].
         bands: band names.
-        missing: estimated share of `intensity` that orders of scattering beyond the last would add, see
-            `Image.missing` [view, band].
+        truncation: estimated share of `intensity` that orders of scattering beyond the last would add, see
+            `Image.truncation` [view, band].
     """
 
     azimuth: Float[Array, " view"]
@@ -44,14 +40,14 @@ class Signature(eqx.Module):
     intensity: Float[Array, "view band"]
     standard_error: Float[Array, "view band"]
     bands: tuple[str, ...] = eqx.field(static=True)
-    missing: Float[Array, "view band"]
+    truncation: Float[Array, "view band"]
 
 
 class Views(NamedTuple):
     """What is seen from where, ready to be computed view by view.
 
     Attributes:
-        optical: the scene on the nodes.
+        lit: the scene on the nodes.
         cameras: of all views [view].
         keys: of all views [view]; those of the first views do not depend on how many follow.
         strata: columns and rows of strata in a pixel.
@@ -60,7 +56,7 @@ class Views(NamedTuple):
         elevation: [view] [deg].
     """
 
-    optical: Radiometry
+    lit: Lit
     cameras: Camera
     keys: Array
     strata: tuple[int, int]
@@ -78,9 +74,7 @@ def signature(
     shape: tuple[int, int] = (128, 128),
     samples: int = 2,
     key: Key[Array, ""] | None = None,
-    reflection: Reflection | None = None,
-    scattering: Scattering | None = None,
-    path: AbstractPathEstimator = CellSum(),  # noqa: B008
+    method: Method | None = None,
     devices: Mesh | None = None,
 ) -> Signature:
     """Radiant intensity of a scene over aspects, all of them under one compilation.
@@ -97,9 +91,7 @@ def signature(
         shape: rows and columns of the images.
         samples: rays per pixel; even.
         key: random key.
-        reflection: as `render`.
-        scattering: as `render`.
-        path: as `render`.
+        method: as `render`.
         devices: as `render`; views are shared out.
 
     Returns:
@@ -118,12 +110,12 @@ def signature(
         shape=shape,
         samples=samples,
         key=key,
-        method=method_of(scene, reflection, scattering, path),
+        method=Method() if method is None else method,
     )
     index = jnp.arange(asked.azimuth.shape[0], dtype=jnp.int32)
     mesh = shared_by(devices, index.shape[0], "views")
-    intensity, error, missing = over_items(view_intensity, asked, index, "signature", mesh)
-    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.optical.nodes.names, missing)
+    intensity, error, truncation = over_items(view_intensity, asked, index, "signature", mesh)
+    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.lit.nodes.names, truncation)
 
 
 def prepare_views(
@@ -143,21 +135,21 @@ def prepare_views(
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     nodes = as_nodes(bands)
     base = jax.random.key(0) if key is None else key
-    optical = compiled_radiometry(scene, nodes)
-    cameras = graded_cameras(optical, aspect, shape, distance)
+    lit = compiled_on_nodes(scene, nodes)
+    cameras = graded_cameras(lit, aspect, shape, distance)
     outside = jax.vmap(lambda camera: eye_outside(scene, camera).value)(cameras)
     eye = Check("signature: (radius of the scene) / distance", outside, outside < 1, "less than 1: sensors outside it")
-    nodes = enforce(nodes, [*scene.checks(), *cameras.checks(), eye, *method.checks(scene)])
+    nodes = enforce(nodes, [*scene.checks(), *cameras.checks(), eye, *method_checks(method, scene)])
     keys = jax.vmap(jax.random.fold_in, (None, 0))(base, jnp.arange(aspect.shape[0], dtype=jnp.uint32))
-    return Views(optical, cameras, keys, pixel_strata(samples), method, aspect[:, 0], aspect[:, 1])
+    return Views(lit, cameras, keys, pixel_strata(samples), method.resolved(scene), aspect[:, 0], aspect[:, 1])
 
 
 @eqx.filter_jit
 def view_intensity(
     views: Views, index: Int[Array, ""]
 ) -> tuple[Float[Array, " band"], Float[Array, " band"], Float[Array, " band"]]:
-    """Contrast intensity of one view, its standard error, and the share missing from it."""
+    """Contrast intensity of one view, its standard error, and the share left out."""
     camera, key = jax.tree.map(lambda leaf: leaf[index], (views.cameras, views.keys))
-    taken = Pass(views.optical, camera, key, views.strata, views.method)
+    taken = Pass(views.lit, camera, key, views.strata, views.method)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), taken.chunks()))
-    return image.radiant_intensity(), image.intensity_error(), image.missing()
+    return image.radiant_intensity(), image.intensity_error(), image.truncation

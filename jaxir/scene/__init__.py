@@ -1,1 +1,7 @@
+"""Scenes: data that joins optics and geometry, and the same on the spectral nodes."""
 
+from jaxir.scene._scene import Lit as Lit
+from jaxir.scene._scene import Scene as Scene
+from jaxir.scene._scene import compiled_on_nodes as compiled_on_nodes
+from jaxir.scene._scene import on_nodes as on_nodes
+from jaxir.scene._skin import Skin as Skin

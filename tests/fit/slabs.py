@@ -12,7 +12,7 @@ DEPTH = Factor("depth", lambda s: s.plume.gas.coefficient)
 
 
 def slab(temperature, depth):
-    return jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), depth, (1, 1, 1), temperature))
+    return jaxir.Scene(plumes=gray_box((1.0, 1.0, 1.0), depth, (1, 1, 1), temperature))
 
 
 def looked_at(scene, bands, relative=0.01):

@@ -21,9 +21,9 @@ from jaxir.fit import (
     part_emissivity,
     part_temperature,
     particle_loading,
+    sensitivity,
     temperature_scale,
 )
-from jaxir.fit import _sensitivity as sensitivity
 from jaxir.optics.particle import Isotropic, ParticleTable
 from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, slab
 from tests.scenes import box_mesh
@@ -95,7 +95,7 @@ def test_an_image_fits_a_field_of_many_numbers_in_reverse_mode():
     grid = jaxir.Grid((-0.5, -0.6, -0.5), (1.0, 0.1, 0.1), shape)
 
     def scene(temperature):
-        return jaxir.Scene(plume=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.5)))
+        return jaxir.Scene(plumes=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.5)))
 
     camera = jaxir.orthographic_camera(0.0, 0.0, 0.1, (10, 12))
     image = np.asarray(jaxir.render(scene(field), camera, jaxir.MWIR, samples=2).radiance)
@@ -192,10 +192,10 @@ def test_wrong_input_is_named(build, message):
 def test_named_parameters_change_what_they_name():
     gas = jaxir.NarrowBandGas(2e4, 0.1, 0.05)
     soot = jaxir.GrayParticles(2.0, 0.1, Isotropic())
-    jet = jaxir.Scene(plume=jaxir.JetPlume((0, 0, 0), (1, 0, 0), 0.5, 900.0, 250.0, gas, particles=soot))
+    jet = jaxir.Scene(plumes=jaxir.JetPlume((0, 0, 0), (1, 0, 0), 0.5, 900.0, 250.0, gas, particles=soot))
     grid = jaxir.Grid((0, 0, 0), (1, 1, 1), (1, 2, 1))
     table = ParticleTable([1e3, 9e3], [2e-12, 2e-12], [1e-12, 1e-12], 1e-18, [-1, 1], np.full((2, 2), 0.08))
-    cells = jaxir.Scene(plume=jaxir.GridPlume(grid, 500.0, gas, jaxir.Particles(np.full((1, 2, 1), 1e9), table)))
+    cells = jaxir.Scene(plumes=jaxir.GridPlume(grid, 500.0, gas, jaxir.Particles(np.full((1, 2, 1), 1e9), table)))
     two = jnp.asarray([2.0])
     for field, unit in (("exit_temperature", "K"), ("spreading", ""), ("core_length", "diameters")):
         parameter = jet_parameter(field)

@@ -22,12 +22,13 @@ from jaxir.fit import (
     measured_intensity,
     part_emissivity,
     prepare,
+    sensitivity,
+    solve,
     stay,
 )
-from jaxir.fit import _sensitivity as sensitivity
-from jaxir.fit import _solve as solve
-from jaxir.transport.drift import density_ratio, effective_share
-from jaxir.transport.paths import trace
+from jaxir.fit._drift import density_ratio, effective_share
+from jaxir.fit._surrogate import applies, predicted_by
+from jaxir.transport import trace
 from tests.fit.slabs import DEPTH, PIXEL, slab
 from tests.scenes import plate
 
@@ -43,12 +44,12 @@ def lit_plate(brdf):
 
 
 def test_ten_keys_end_as_far_apart_as_the_fit_says():
-    reflection = jaxir.Reflection()  # samples lights and brdf
+    method = jaxir.Method()  # samples lights and brdf
     truth = lit_plate(jaxir.Lambert(0.4))
-    exact = jaxir.signature(truth, FRONT, jaxir.MWIR, shape=(16, 16), reflection=jaxir.Reflection(jaxir.ClosedForm()))
+    exact = jaxir.signature(truth, FRONT, jaxir.MWIR, shape=(16, 16), method=jaxir.Method(jaxir.ClosedForm()))
     value = np.asarray(exact.intensity)
     start = lit_plate(jaxir.Lambert(0.7))
-    measured = measured_intensity(start, FRONT, jaxir.MWIR, value, 0.01 * value, shape=(16, 16), reflection=reflection)
+    measured = measured_intensity(start, FRONT, jaxir.MWIR, value, 0.01 * value, shape=(16, 16), method=method)
     found = [fit(start, [part_emissivity("skin")], [measured], key=jax.random.key(k)) for k in range(10)]
     got = np.array([float(f.uncertainty.value[0]) for f in found])
     said = np.array([float(f.sampling_error[0]) for f in found])
@@ -61,27 +62,27 @@ def test_ten_keys_end_as_far_apart_as_the_fit_says():
 
 def test_the_effective_share_of_directions_is_kish_s():
     first, second = (lit_plate(jaxir.RoughConductor(2.0, 10.0, a)) for a in (0.3, 0.6))
-    reflection = jaxir.Reflection(jaxir.BrdfSampling(4))
+    method = jaxir.Method(jaxir.DirectSampling(0, 4))
     rays = jaxir.orthographic_camera(20.0, 10.0, 0.1, (4, 4)).bundle(jnp.zeros((64, 2)), jnp.asarray(2.0)).rays()
     compiled = eqx.filter_jit(density_ratio)
-    paths = eqx.filter_jit(trace)(first, rays, reflection, jax.random.key(1))
-    same = compiled(paths, reflection, first, first)
-    other = compiled(paths, reflection, first, second)
+    paths = eqx.filter_jit(trace)(first, rays, method, jax.random.key(1))
+    same = compiled(paths, first, first)
+    other = compiled(paths, first, second)
     drawn = np.asarray(same) > 0
     np.testing.assert_allclose(np.asarray(same)[drawn], 1)
     assert 10 < drawn.sum() and float(effective_share(same)) == pytest.approx(1)
     w = np.asarray(other)[drawn]
     share = float(effective_share(other))
     assert share == pytest.approx(w.sum() ** 2 / (w.size * (w**2).sum()), rel=1e-5) and 0 < share < 0.95
-    lights = jaxir.Reflection(jaxir.LightSampling(1))
+    lights = jaxir.Method(jaxir.DirectSampling(1, 0))
     lit = eqx.filter_jit(trace)(first, rays, lights, jax.random.key(1))
-    assert density_ratio(lit, lights, first, second).size == 0
+    assert density_ratio(lit, first, second).size == 0
     assert float(effective_share(jnp.zeros(0))) == 1
 
 
 def jet(temperature, length):
     return jaxir.Scene(
-        plume=jaxir.JetPlume(
+        plumes=jaxir.JetPlume(
             (0, 0, 0), (-1, 0, 0), 0.5, temperature, 250.0, jaxir.GrayGas(0.5), length=length, panels=2
         )
     )
@@ -100,7 +101,7 @@ def test_a_jet_that_outgrows_its_images_is_traced_again():
     start = jet(900.0, 8.0)
     measured = measured_intensity(start, AROUND, TWO, value, 0.01 * value, shape=(64, 64))
     problem = prepare(start, JET, [measured])
-    assert problem.thins
+    assert applies(problem)
     once, often = solve(problem, rounds=1), solve(problem)
     assert once.rounds == 1 and once.drifted and "allow more rounds" in str(once)
     assert often.rounds > 1 and not often.drifted
@@ -116,11 +117,12 @@ def test_fewer_rays_stand_for_all_that_meet_a_jet():
     measured = measured_intensity(scene, AROUND, TWO, value, 0.01 * value, shape=(64, 64))
     problem = prepare(scene, JET, [measured])
     observed = problem.observations[0]
-    sums = observed.leading, observed.steering, observed.through
+    kept = problem.surrogate
+    sums = *kept.leading, *kept.steering, observed.through
     few, more, all_rays = (int((rays.weight > 0).sum()) for rays in sums)
     assert few < 0.02 * all_rays and more < 0.2 * all_rays
     z = problem.coordinates.origin()
-    problems = problem.leading(), problem.steering(), problem
+    problems = *(predicted_by(problem, rays) for rays in (kept.leading, kept.steering)), problem
     leading, steering, exact = (np.asarray(linearised(p, z)[1]) for p in problems)
     np.testing.assert_allclose(leading[:, 0], exact[:, 0], rtol=0.05)
     spread = [np.sqrt(np.diag(np.linalg.inv(j.T @ j))) for j in (steering, exact)]

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chi_square import p_value
 from scipy.stats import chi2
 
 from jaxir._math import frame_around
@@ -24,6 +23,7 @@ from jaxir.geometry import (
     sample_triangle,
     sphere_drop,
 )
+from tests.chi_square import p_value
 
 NORMAL = np.array([0.6, 0.0, -0.8])
 SAMPLERS = [Independent(), Stratified(), Sobol(), Lattice()]

@@ -83,9 +83,9 @@ def test_emission_and_reflection_add_up(name, cos_o, x64):
     cos = np.sqrt((np.arange(rings) + 0.5) / rings)
     angle = (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
     total = np.pi * np.asarray(rings_of(brdf, omega_o, normal, jnp.asarray(cos), jnp.asarray(angle))).mean(axis=0)
-    rho = np.asarray(brdf.reflectance(jnp.asarray(cos_o)))
+    rho = np.asarray(brdf.directional_reflectance(jnp.asarray(cos_o)))
     assert np.all(rho >= 0) and np.all(rho <= 1)
-    np.testing.assert_allclose(1 - rho, brdf.emissivity(jnp.asarray(cos_o)), atol=1e-14)
+    np.testing.assert_allclose(1 - rho, brdf.directional_emissivity(jnp.asarray(cos_o)), atol=1e-14)
     tolerance = 1.5e-3 if "metal" in name else 3e-4 if name == "table" else 1e-4
     np.testing.assert_allclose(total, rho, atol=tolerance)
 
@@ -159,7 +159,7 @@ def all_slopes(brdf, views, cos_o):
 
     def total(here, omega_i, omega_o, cos_o):
         whole = eqx.combine(here, kept)
-        return jnp.sum(whole.eval(omega_i, omega_o, normal)) + jnp.sum(whole.emissivity(cos_o))
+        return jnp.sum(whole.eval(omega_i, omega_o, normal)) + jnp.sum(whole.directional_emissivity(cos_o))
 
     each = jax.vmap(jax.value_and_grad(total, argnums=(0, 1, 2, 3)), in_axes=(None, 0, None, None))
     return jax.vmap(each, in_axes=(None, None, 0, 0))(here, views, views, cos_o)
@@ -184,7 +184,7 @@ def test_parameter_gradients_agree_with_differences(kind, x64):
 
     def value(brdf):
         here = brdf.at(jnp.asarray(FACE))
-        return jnp.sum(here.eval(i, o, normal) + 0.5 * here.emissivity(jnp.asarray(0.45)))
+        return jnp.sum(here.eval(i, o, normal) + 0.5 * here.directional_emissivity(jnp.asarray(0.45)))
 
     value = jax.jit(value)
     gradient = jax.jit(jax.grad(value))(brdf)
@@ -211,7 +211,7 @@ def test_a_smooth_metal_obeys_fresnel():
     """Roughness to 0: the facet emissivity becomes that of the mirror, which at the normal is 4 n / ((n+1)^2 + k^2)."""
     n, k = 5.0, 30.0
     smooth = RoughConductor(n, k, 0.003).at(jnp.asarray(FACE))
-    got = float(smooth.emissivity(jnp.asarray(1.0))[0])
+    got = float(smooth.directional_emissivity(jnp.asarray(1.0))[0])
     assert got == pytest.approx(4 * n / ((n + 1) ** 2 + k**2), rel=5e-3)
 
 
@@ -240,7 +240,14 @@ def test_one_face_of_many():
     brdf = BrdfPerFace([Lambert([0.2, 0.4, 0.6]), Lambert([[0.1, 0.9]])], [0, 1, 0])
     assert brdf.shape() == (3, 2)
     one = jnp.asarray(0.5)
-    np.testing.assert_allclose(brdf.at(jnp.asarray(2, jnp.int32)).emissivity(one), [0.6, 0.6], rtol=1e-6)
-    np.testing.assert_allclose(brdf.at(jnp.asarray(1, jnp.int32)).emissivity(one), [0.1, 0.9], rtol=1e-6)
+    np.testing.assert_allclose(brdf.at(jnp.asarray(2, jnp.int32)).directional_emissivity(one), [0.6, 0.6], rtol=1e-6)
+    np.testing.assert_allclose(brdf.at(jnp.asarray(1, jnp.int32)).directional_emissivity(one), [0.1, 0.9], rtol=1e-6)
     grid, solid = direction_grid(4, 4)
     assert solid * grid[..., 0].size == pytest.approx(4 * np.pi)
+
+
+def test_only_lambert_is_diffuse():
+    paint = SandfordRobertson(0.7, 0.1, 0.2, 0.2)
+    assert Lambert(0.5).diffuse and BrdfPerFace([Lambert(0.5), Lambert(0.1)], [0, 1]).diffuse
+    assert not BrdfPerFace([Lambert(0.5), paint], [0, 1]).diffuse
+    assert not any(brdf.diffuse for brdf in (paint, RoughConductor(5.0, 30.0, 0.3), BrdfTable(np.full((3, 3, 3), 0.1))))

@@ -10,7 +10,7 @@ from jaxir.io.spectra import GasState, slot_atmosphere, tabulate
 from jaxir.optics.air import Profile, us_standard_1976
 from jaxir.optics.gas import CorrelatedK, CrossSections
 from jaxir.optics.spectrum import Band, band_radiance, resolved_nodes
-from jaxir.scene.air_path import StandardAtmosphere
+from jaxir.scene.air import StandardAtmosphere
 from studies import co2_lines as truth
 
 ATMOSPHERE = truth.ATMOSPHERE
@@ -89,7 +89,7 @@ def test_hot_gas_behind_cold_air(raw_table, paths, air, temperature, amount, thi
     layers = [(temperature, PLUME, amount, thickness)]
     path, radiance = paths(air, temperature), correlated_k(raw_table, layers)
     exact = line_by_line(layers, air)
-    slots = path.transmittance(NODES)
+    slots = path.on(NODES).transmittance
     assert float(NODES.in_band(radiance * slots)[0]) == pytest.approx(exact, rel=0.02)
     assert float(NODES.in_band(radiance * bin_means(slots))[0]) > (1 + product) * exact
 
@@ -100,7 +100,7 @@ def test_hot_gas_behind_cold_air(raw_table, paths, air, temperature, amount, thi
 def test_layers_of_one_plume_lose_rank(raw_table, paths, air, thickness, error):
     """What the docstring says of hot gas behind colder gas of the same plume."""
     layers = [(t, PLUME, 0.06, thickness) for t in (400.0, 650.0, 1000.0, 1500.0, 1000.0, 650.0, 400.0)]
-    slots = paths(air, 1500.0).transmittance(NODES) if air else 1.0
+    slots = paths(air, 1500.0).on(NODES).transmittance if air else 1.0
     got = float(NODES.in_band(correlated_k(raw_table, layers) * slots)[0])
     assert got / line_by_line(layers, air) - 1 == pytest.approx(error, abs=0.004)
 
@@ -110,8 +110,8 @@ def test_air_at_the_temperature_of_a_furnace_adds_what_it_takes():
     warm = Profile(level.altitude, jnp.full_like(level.altitude, 260.0), level.pressure, level.h2o, level.o3)
     air, hottest = StandardAtmosphere(0.0, 10e3, 11544.0, warm), GasState(1000.0, PLUME, {"CO2": 0.06})
     path = slot_atmosphere(truth.SPECTRA, NODES, air, {"CO2": CO2_IN_AIR}, hottest, 3, progress=False)
-    expected = (1 - path.transmittance(NODES)) * band_radiance(jnp.asarray(260.0), NODES)
-    assert np.allclose(path.path_radiance(NODES), expected, rtol=1e-4, atol=1e-9)
+    expected = (1 - path.on(NODES).transmittance) * band_radiance(jnp.asarray(260.0), NODES)
+    assert np.allclose(path.on(NODES).path_radiance, expected, rtol=1e-4, atol=1e-9)
 
 
 def test_a_scene_on_the_same_nodes(raw_table, paths):
@@ -122,9 +122,9 @@ def test_a_scene_on_the_same_nodes(raw_table, paths):
     plume = jaxir.GridPlume(jaxir.Grid((-0.25, -1.0, -1.0), (0.25, 2.0, 2.0), (2, 1, 1)), kelvin, gas)
     scene = jaxir.Scene(plume=plume, atmosphere=paths("level", 1500.0))
     rays = Rays(jnp.asarray([[5.0, 0.0, 0.0]]), jnp.asarray([[-1.0, 0.0, 0.0]]))
-    seen = eqx.filter_jit(lambda s, n: jaxir.evaluate(jaxir.radiometry(s, n), jaxir.trace(s, rays)))(scene, NODES)
+    seen = eqx.filter_jit(lambda s, n: jaxir.evaluate(s.on(n), jaxir.trace(s, rays)))(scene, NODES)
     path = paths("level", 1500.0)
-    by_hand = correlated_k(raw_table, layers) * path.transmittance(NODES) + path.path_radiance(NODES)
+    by_hand = correlated_k(raw_table, layers) * path.on(NODES).transmittance + path.on(NODES).path_radiance
     assert np.allclose(seen[0], by_hand, rtol=1e-4)
 
 
@@ -286,7 +286,7 @@ def test_bad_input_is_refused(raw_table):
     failing = [
         check.field for check in CorrelatedK([raw_table], -1.0, {"CO2": 1.1}).checks() if not bool(check.ok.all())
     ]
-    assert failing == ["CorrelatedK.pressure", "CorrelatedK.CO2", "CorrelatedK: sum of mole fractions"]
+    assert failing == ["CorrelatedK.pressure", "CorrelatedK.mole_fractions.CO2", "CorrelatedK: sum of mole fractions"]
     for change, what in (
         ({"temperature": [300.0, 300.0]}, "temperature.*increasing"),
         ({"temperature": [0.0, 300.0]}, "temperature.*> 0"),
@@ -297,3 +297,8 @@ def test_bad_input_is_refused(raw_table):
         good = {"temperature": [300.0, 600.0], "pressure": [1e5], "cross_section": np.ones((2, 1, 1, 128))}
         with pytest.raises(ValueError, match=what):
             CrossSections("CO2", NODES, mole_fraction=[0.0], **{**good, **change})
+
+
+def test_the_leaves_that_scale_with_the_amount_of_gas(raw_table):
+    gas = CorrelatedK([raw_table], 1e5, {"CO2": 0.1})
+    assert len(gas.amounts()) == 1 and gas.amounts()[0] is gas.mole_fractions["CO2"]

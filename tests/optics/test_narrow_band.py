@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxir.optics import _tables
-from jaxir.optics.gas import ATMOSPHERE, NarrowBandGas
+from jaxir.optics.gas import ATMOSPHERE, GrayGas, NarrowBandGas
 from jaxir.optics.spectrum import LWIR, MWIR, STEFAN, SWIR, Band, band_radiance, resolved_nodes
 
 PRODUCTS = {"co2": 0.0630, "h2o": 0.0754, "o2": 0.1008}  # n-pentane in air, equivalence ratio 0.5
@@ -209,7 +209,7 @@ def test_new_values_do_not_retrace():
 def test_bad_input_is_refused():
     with pytest.raises(ValueError, match="no species"):
         NarrowBandGas(1e5)
-    with pytest.raises(ValueError, match="shapes"):
+    with pytest.raises(ValueError, match=r"NarrowBandGas.co2: got shape \(2,\), expected \(3,\) or one without cells"):
         NarrowBandGas(1e5, h2o=jnp.ones(3), co2=jnp.ones(2))
     with pytest.raises(ValueError, match="expected cells"):
         absorption(NarrowBandGas(1e5, h2o=jnp.ones(3)), single_bin(2325.0), jnp.asarray(300.0))
@@ -220,3 +220,9 @@ def test_bad_input_is_refused():
     assert [check.field for check in bad.checks() if not bool(check.ok.all())] == [
         "NarrowBandGas: sum of mole fractions"
     ]
+
+
+def test_the_leaves_that_scale_with_the_amount_of_gas():
+    gas, gray = NarrowBandGas(1e5, h2o=0.1, co=0.01, o2=0.2), GrayGas(2.0)
+    assert all(a is b for a, b in zip(gas.amounts(), (gas.h2o, gas.co), strict=True))
+    assert gray.amounts()[0] is gray.coefficient

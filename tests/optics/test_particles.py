@@ -145,3 +145,8 @@ def test_missing_miepython_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "miepython", None)
     with pytest.raises(ImportError, match=r"pip install 'jaxir\[mie\]'"):
         mie_table(1.0, 1.5)
+
+
+def test_the_leaf_that_scales_with_the_number_of_particles(table):
+    particles, gray = Particles(1e9, table), GrayParticles(0.5, 0.9, Isotropic())
+    assert particles.amount is particles.number_density and gray.amount is gray.extinction

@@ -139,7 +139,7 @@ def test_a_plume_behind_air_needs_more_than_one_node():
     found = {}
 
     def radiance(nodes):
-        value = eqx.filter_jit(lambda s, n: n.in_band(jaxir.evaluate(jaxir.radiometry(s, n), paths)))(scene, nodes)
+        value = eqx.filter_jit(lambda s, n: n.in_band(jaxir.evaluate(s.on(n), paths)))(scene, nodes)
         return found.setdefault(nodes.count, value)
 
     ladder = [Resolution(50.0, 4, 3), Resolution(50.0, 8, 5)]

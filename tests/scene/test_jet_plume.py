@@ -3,7 +3,7 @@ import numpy as np
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.transport.jet import KNOTS, jet_medium
+from jaxir.medium._jet_layers import KNOTS
 
 
 def jet(**changed):
@@ -62,7 +62,7 @@ def test_combustion_gas_is_diluted_by_air():
     np.testing.assert_allclose(mixed.o2, 0.20948 * np.array([1.0, 0.6, 0.0]), rtol=1e-4)
     nodes = jaxir.resolved_nodes([jaxir.Band("narrow", 4.2, 4.5)])
     exhaust = jet(gas=gas)
-    medium = jet_medium(exhaust, nodes)
+    medium = exhaust.medium(nodes)
     fraction = as_float([0.25, 0.75])
     temperature = exhaust.temperature(fraction)
     direct = exhaust.mixture(fraction).absorption(nodes, temperature)

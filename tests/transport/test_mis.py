@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxir.transport import mis
+from jaxir import transport
 
-mis_weight = jax.jit(mis.mis_weight, static_argnums=(0, 2))
+mis_weight = jax.jit(transport.mis_weight, static_argnums=(0, 2))
 
 
 def test_weights_share_every_direction(precision):

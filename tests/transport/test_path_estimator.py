@@ -5,10 +5,11 @@ import pytest
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.geometry import Crossings
+from jaxir.geometry import Crossings, pixel_samples, tile_rays
+from jaxir.medium import crossing_sum
 from jaxir.optics import thinning
-from jaxir.transport.crossing_sum import crossing_sum
-from tests.scenes import gray_box
+from jaxir.optics.spectrum import gray_nodes
+from tests.scenes import gray_box, plate
 
 SAMPLED = (jaxir.PointIntegration(), jaxir.LineIntegration(), jaxir.CombinedIntegration())
 CELLS = 8
@@ -142,23 +143,50 @@ def test_thinning_is_the_difference_of_the_phis(x64):
     assert float(thinning(as_float(0.0))) == 0.5
 
 
-def test_render_takes_an_estimator():
-    scene = jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), 1.0))
-    camera = jaxir.orthographic_camera(0.0, 0.0, 0.1, (8, 8))
-    image = jaxir.render(scene, camera, jaxir.MWIR, samples=8)
-    noisy = jaxir.render(scene, camera, jaxir.MWIR, samples=8, path=jaxir.CombinedIntegration())
-    off = float(noisy.radiant_intensity()[0] - image.radiant_intensity()[0])
-    error = float(noisy.intensity_error()[0])
-    assert abs(off) < 4 * error and error < 0.1 * float(image.radiant_intensity()[0])
-    assert float(image.intensity_error()[0]) < 1e-3 * error
+def camera_rays(scene, camera, samples):
+    """Rays of all pixels of an image of one tile, and the part of the pixel's area that each stands for [ray] [m2]."""
+    offset = pixel_samples(jax.random.key(3), 1, samples)
+    bundle = tile_rays(camera, jnp.zeros(1, jnp.int32), offset, scene.start(camera))
+    inside = camera.pixel_index(jnp.zeros(1, jnp.int32)).reshape(-1)
+    area = jnp.where(inside >= 0, camera.pixel_area().reshape(-1)[inside], 0)
+    return bundle, np.repeat(np.asarray(area, float), samples) / samples
 
 
-def test_signature_takes_an_estimator():
-    scene = jaxir.Scene(plume=gray_box((1.0, 1.0, 1.0), 1.0))
-    asked = {"views": [(0.0, 0.0), (30.0, 20.0)], "bands": jaxir.MWIR, "shape": (16, 16), "samples": 8}
-    exact = jaxir.signature(scene, **asked)
-    noisy = jaxir.signature(scene, **asked, path=jaxir.CombinedIntegration())
-    error = np.hypot(noisy.standard_error, exact.standard_error)
-    assert (np.abs(noisy.intensity - exact.intensity) < 4 * error).all()
-    assert (noisy.standard_error < 0.05 * exact.intensity).all()
-    assert (exact.standard_error < 0.5 * noisy.standard_error).all()
+@jax.jit
+def estimated(scene, paths, path, key):
+    return jaxir.estimate(scene.on(gray_nodes((jaxir.MWIR,))), paths, path, key)[:, 0]
+
+
+@pytest.mark.parametrize("path", SAMPLED, ids=lambda p: type(p).__name__)
+@pytest.mark.parametrize("view", [(0.0, 0.0), (30.0, 20.0)])
+def test_estimators_of_an_image_have_the_mean_of_the_exact_sum_over_all_pixels(view, path):
+    """Radiant intensity by traced rays of a camera, and its standard error from repeats of every ray."""
+    scene = jaxir.Scene(plumes=gray_box((1.0, 1.0, 1.0), 1.0), background=jaxir.UniformBackground(0.5))
+    camera = jaxir.orthographic_camera(*view, 0.12, (16, 16))
+    bundle, area = camera_rays(scene, camera, 8)
+    paths = jaxir.trace(scene, bundle)
+    exact = np.asarray(jaxir.evaluate(scene.on(gray_nodes((jaxir.MWIR,))), paths), float)[:, 0]
+    repeats = 8
+    keys = [jax.random.key(k) for k in range(repeats)]
+    noisy = np.stack([np.asarray(estimated(scene, paths, path, key), float) for key in keys])
+    error = np.sqrt(np.sum(noisy.var(axis=0, ddof=1) * area**2) / repeats)
+    assert abs(noisy.mean(axis=0) @ area - exact @ area) < 4 * error
+    assert 0 < error < 0.02 * (exact @ area)
+    summed = np.asarray(estimated(scene, paths, jaxir.CellSum(), keys[0]), float)
+    np.testing.assert_allclose(summed, exact, rtol=1e-5)
+
+
+def test_an_estimator_lies_behind_the_air_and_in_front_of_skin():
+    """The exact sum, and the mean of a sampled one, in a scene with all of its parts."""
+    sun = jaxir.ParallelSource((-1.0, 0.0, 0.0), 50.0)
+    air, sky = jaxir.FixedPath(0.7, 0.2), jaxir.UniformBackground(2.0)
+    scene = jaxir.Scene(plate(x=-0.9), gray_box((1.0, 1.2, 1.2), 1.0), sun, sky, air)
+    bundle, _ = camera_rays(scene, jaxir.orthographic_camera(15.0, 10.0, 0.12, (16, 16)), 8)
+    paths = jaxir.trace(scene, bundle, None, jax.random.key(4))
+    exact = np.asarray(jaxir.evaluate(scene.on(gray_nodes((jaxir.MWIR,))), paths), float)[:, 0]
+    np.testing.assert_allclose(estimated(scene, paths, jaxir.CellSum(), jax.random.key(5)), exact, rtol=1e-5)
+    keys = [jax.random.key(k) for k in range(8)]
+    off = np.stack([estimated(scene, paths, jaxir.CombinedIntegration(), key) for key in keys]).astype(float) - exact
+    error = off.std() / np.sqrt(off.size)
+    assert 0 < error < 0.01 * exact.mean()
+    assert abs(off.mean()) < 4 * error

@@ -1,22 +1,15 @@
-"""The plume drawn as a light on the skin: its density, and a closed form of it and of its slopes."""
-
-from functools import partial
+"""The plume drawn as a light on the skin: a closed form of it and of its slopes."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
-from chi_square import direction_grid, p_value
 
 import jaxir
-from jaxir import LightSampling, PlumeLight, Reflection
-from jaxir.geometry import Independent, Rays
+from jaxir import DirectSampling, Method, PlumeLight
+from jaxir.geometry import Rays
 from jaxir.optics.spectrum import gray_nodes
-from jaxir.transport.evaluate import evaluate
-from jaxir.transport.paths import trace
-from jaxir.transport.plume_light import draw_towards, pdf_towards, plume_pieces, sight_of
-from jaxir.transport.radiometry import plume_emission, radiometry
+from jaxir.transport import evaluate, trace
 
 NODES = gray_nodes((jaxir.LWIR,))
 COLD, HOT = 3.0, 700.0
@@ -32,44 +25,6 @@ def rays_down(count, height=0.5):
     return Rays(origin, jnp.broadcast_to(jnp.asarray([0.0, 0.0, -1.0]), origin.shape))
 
 
-# hotter at one corner, around the point; a jet beside it
-RAMP = jaxir.GridPlume(
-    jaxir.Grid((-0.6, -0.9, -0.4), (0.2, 0.25, 0.3), (5, 7, 3)),
-    300 + 500 * np.linspace(0, 1, 105).reshape(5, 7, 3),
-    jaxir.GrayGas(0.5),
-)
-JET = jaxir.JetPlume((-0.4, 0.1, 0.3), (1.0, -0.2, 0.4), 0.15, HOT, 300.0, jaxir.GrayGas(2.0), length=12.0)
-
-
-@pytest.mark.parametrize("plume", [RAMP, JET], ids=["grid", "jet"])
-def test_directions_towards_a_plume_have_their_density(plume):
-    """Which is positive wherever the plume is above the horizon."""
-    point = jnp.asarray([0.1, 0.0, 0.0])
-
-    @jax.jit
-    def prepared(omega):
-        pieces = plume_pieces(plume, PlumeLight())
-        optical = radiometry(jaxir.Scene(plume=plume), NODES)
-        endless = jnp.full(omega.shape[:1], jnp.inf, omega.dtype)
-        glow = plume_emission(optical, jnp.broadcast_to(point, omega.shape), omega, endless)
-        return pieces, sight_of(pieces, point, jnp.asarray([0.0, 0.0, 1.0])), glow[:, 0]
-
-    omega = direction_grid()[0].reshape(-1, 3)
-    pieces, sight, glow = prepared(jnp.asarray(omega))
-
-    def sample(u):
-        own = jax.random.fold_in(jax.random.key(1), jax.lax.bitcast_convert_type(u[0], jnp.uint32))
-        return draw_towards(pieces, sight, Independent(), own, 1)[0]
-
-    density = jax.jit(jax.vmap(partial(pdf_towards, pieces, sight)))
-    fit, total = p_value(sample, partial(pdf_towards, pieces, sight), np.eye(3), jax.random.key(2))
-    assert fit > 1e-3
-    assert abs(total - 1) < 0.01
-    shines = (np.asarray(glow) > 0) & (omega[:, 2] > 0)
-    assert shines.sum() > 100
-    assert np.all(np.asarray(density(jnp.asarray(omega)))[shines] > 0)
-
-
 def test_a_small_thin_box_far_away_lights_a_plate():
     """reflectance / pi * cos * absorption B V / distance^2; (size / distance)^2 and depth leave 1e-3.
 
@@ -77,7 +32,7 @@ def test_a_small_thin_box_far_away_lights_a_plate():
     """
     count, cell, centre, absorption = (4, 3, 5), 0.1, np.array([5.0, -1.0, 8.0]), 1e-3
     grid = jaxir.Grid(centre - np.array(count) * cell / 2, (cell,) * 3, count)
-    method, rays, at = Reflection(LightSampling(), plume=PlumeLight()), rays_down(32), jnp.asarray([HOT, 0.5])
+    method, rays, at = Method(DirectSampling(1, 0), plume_light=PlumeLight()), rays_down(32), jnp.asarray([HOT, 0.5])
 
     def scene(values):
         skin = jaxir.Skin(jaxir.Mesh(CORNERS, TWO), COLD, jaxir.Lambert(values[1]))
@@ -90,7 +45,7 @@ def test_a_small_thin_box_far_away_lights_a_plate():
         """Value and slopes of each ray [1 + value, ray]."""
 
         def of(values):
-            return evaluate(radiometry(scene(values), NODES), kept, method)[:, 0]
+            return evaluate(scene(values).on(NODES), kept)[:, 0]
 
         value, slopes = jax.vmap(lambda along: jax.jvp(of, (values,), (along,)))(jnp.eye(2))
         return jnp.concatenate([value[:1], slopes])

@@ -8,23 +8,11 @@ import pytest
 from scipy.stats import norm
 
 import jaxir
-from jaxir import (
-    AmbientTerm,
-    BrdfSampling,
-    ClosedForm,
-    LightSampling,
-    MultipleImportance,
-    PlumeLight,
-    Reflection,
-    SkinLight,
-    Sobol,
-)
+from jaxir import ClosedForm, DirectSampling, Method, PlumeLight, SkinLight, Sobol
 from jaxir._arrays import enforce
 from jaxir.geometry import Rays, disc_vector, polygon_form_factor
 from jaxir.optics.spectrum import gray_nodes
-from jaxir.transport.evaluate import evaluate
-from jaxir.transport.paths import trace
-from jaxir.transport.radiometry import radiometry
+from jaxir.transport import evaluate, trace
 from tests.scenes import box_mesh, gray_box
 
 NODES = gray_nodes((jaxir.LWIR,))
@@ -35,9 +23,9 @@ DISC = jaxir.DiscSource([1.2, 1.2, 1.8], [0.0, 0.0, -1.0], 1.0, 100.0)
 
 
 @eqx.filter_jit
-def look(scene, rays, reflection, key):
+def look(scene, rays, method, key):
     """Radiance of each ray [ray]; one compilation for every scene of the same structure."""
-    return evaluate(radiometry(scene, NODES), trace(scene, rays, reflection, key), reflection)[:, 0]
+    return evaluate(scene.on(NODES), trace(scene, rays, method, key))[:, 0]
 
 
 def black(temperature):
@@ -80,17 +68,17 @@ def agrees(values, expected, tolerance):
 @pytest.mark.parametrize(
     ("method", "least", "most"),
     [
-        (Reflection(ClosedForm()), 0.0, 1e-5),
-        (Reflection(MultipleImportance(100, 100)), 0.048, 0.052),
-        (Reflection(MultipleImportance(64, 64), sampler=Sobol()), 0.0, 0.009),
-        (Reflection(LightSampling(1024), sampler=Sobol()), 0.0, 0.0008),
+        (Method(ClosedForm()), 0.0, 1e-5),
+        (Method(DirectSampling(100, 100)), 0.048, 0.052),
+        (Method(DirectSampling(64, 64), sampler=Sobol()), 0.0, 0.009),
+        (Method(DirectSampling(1024, 0), sampler=Sobol()), 0.0, 0.0008),
     ],
     ids=["closed form", "independent", "sobol", "sobol 1024"],
 )
 def test_error_of_the_disc_lit_plate(method, least, most):
     points = raster(32 if "1024" not in repr(method) else 12)
     scene = jaxir.Scene(plate(), sources=(DISC,))
-    enforce(NODES, method.checks(scene))
+    enforce(NODES, method.checks_for(scene))
     expected = 0.5 * 100.0 * form_factor(points)
     got = np.asarray(look(scene, rays_down(points), method, jax.random.key(1)), float)
     error = np.sqrt(np.mean((got / expected - 1) ** 2))
@@ -114,8 +102,8 @@ def test_a_polygon_of_light_is_the_square_of_heat(shift):
     corners = np.array([[0.5, -0.5, 1.0], [0.5, 0.5, 1.0], [0.5, 0.5, -shift], [0.5, -0.5, -shift]])
     points = 0.9 * raster(24)
     scene = jaxir.Scene(plate(), sources=(jaxir.PolygonSource(corners, 100.0),))
-    exact, sampled = Reflection(ClosedForm()), Reflection(MultipleImportance(32, 32), sampler=Sobol())
-    enforce(NODES, exact.checks(scene))
+    exact, sampled = Method(ClosedForm()), Method(DirectSampling(32, 32), sampler=Sobol())
+    enforce(NODES, exact.checks_for(scene))
     want = np.asarray(look(scene, rays_down(points), exact, jax.random.key(1)), float)
     difference = np.asarray(look(scene, rays_down(points), sampled, jax.random.key(1)), float) - want
     error = difference.std() / np.sqrt(difference.size)
@@ -135,18 +123,18 @@ def test_variance_of_each_strategy_is_its_closed_form(way):
     np.testing.assert_allclose(mean, 50.0 * form_factor([point])[0], rtol=1e-4)
     p = form_factor([point])[0]
     if way == "brdf":
-        method, variance = BrdfSampling(samples), mean**2 * (1 - p) / p
+        method, variance = DirectSampling(0, samples), mean**2 * (1 - p) / p
     elif way == "light":
-        method, variance = LightSampling(samples), np.sum(value**2 / from_light * solid) - mean**2
+        method, variance = DirectSampling(samples, 0), np.sum(value**2 / from_light * solid) - mean**2
     else:
-        method = MultipleImportance(samples, samples)
+        method = DirectSampling(samples, samples)
         both = from_light**2 + from_brdf**2
         variance = 0.0
         for pdf in (from_light, from_brdf):
             share = pdf**2 / both * value
             variance += np.sum(share**2 / pdf * solid) - np.sum(share * solid) ** 2
     rays = rays_down(np.broadcast_to(point, (rays, 2)))
-    got = np.asarray(look(jaxir.Scene(plate(), sources=(DISC,)), rays, Reflection(method), jax.random.key(2)), float)
+    got = np.asarray(look(jaxir.Scene(plate(), sources=(DISC,)), rays, Method(method), jax.random.key(3)), float)
     agrees(got, mean, 0.2)
     square = (got - mean) ** 2 * samples / variance
     assert abs(square.mean() - 1) < 4 * square.std() / np.sqrt(square.size)
@@ -164,7 +152,7 @@ def two_squares(second, hot_emissivity=1.0):
 
 ABOVE = SQUARE + np.array([0.0, 0.0, 1.0])
 WALL = np.array([[0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [0.5, 0.5, 1.0], [0.5, -0.5, 1.0]])
-ONE_BOUNCE = Reflection(BrdfSampling(), bounces=1)
+ONE_BOUNCE = Method(DirectSampling(0, 1), bounces=1)
 
 
 @pytest.mark.parametrize(("second", "factor"), [(ABOVE, 0.199824895698), (WALL, 0.200043776075)])
@@ -179,7 +167,7 @@ def test_a_hot_plume_lights_the_skin():
     gas = gray_box((1.0, 1.0, 1.0), 1e3, temperature=500.0)
     grid = eqx.tree_at(lambda g: g.origin, gas.grid, jnp.asarray([-0.5, -0.5, 1.0]))
     scene = jaxir.Scene(plate(), jaxir.GridPlume(grid, 500.0, gas.gas))
-    got = look(scene, rays_down(raster(96)), Reflection(plume=PlumeLight()), jax.random.key(4))
+    got = look(scene, rays_down(raster(96)), Method(plume_light=PlumeLight()), jax.random.key(4))
     agrees(got, 0.5 * black(500.0) * 0.199824895698, 0.15)
 
 
@@ -187,13 +175,13 @@ def test_a_hot_plume_lights_the_skin():
 PATCH = np.array([[0.49, 0.1, 0.1], [0.49, 0.2, 0.1], [0.49, 0.2, 0.0], [0.49, 0.1, 0.0]])
 
 
-@pytest.mark.parametrize("direct", [LightSampling(2), MultipleImportance(2, 2)], ids=["light", "both"])
+@pytest.mark.parametrize("direct", [DirectSampling(2, 0), DirectSampling(2, 2)], ids=["light", "both"])
 def test_a_hot_patch_drawn_as_a_light_has_its_form_factor(direct):
     """Value and slope in the patch's temperature, without bounces; the plate sees it by Lambert's formula."""
     height = np.array([0.0, 0.0, 0.3])
     points, emissivity = 0.9 * raster(64), 0.7
     mesh = jaxir.Mesh(np.concatenate([SQUARE, PATCH + height]), np.concatenate([TWO, TWO + 4]))
-    method = Reflection(direct, skin=SkinLight())
+    method = Method(direct, skin_light=SkinLight())
 
     def radiance(hot):
         temperature = jnp.asarray([COLD, COLD, 0.0, 0.0]) + hot * jnp.asarray([0.0, 0.0, 1.0, 1.0])
@@ -230,10 +218,10 @@ def test_a_hot_patch_and_a_plume_in_a_box_drawn_as_lights_or_met_by_bounces():
     scene = jaxir.Scene(jaxir.Skin(mesh, temperature, jaxir.Lambert([0.5] * 10 + [0.9] * 2)), plume)
     rays = rays_down(0.9 * raster(64), 2.0)
     sharp, drawn = (
-        Reflection(MultipleImportance(), bounces=2, skin=SkinLight(power), plume=PlumeLight(power))
+        Method(DirectSampling(), bounces=2, skin_light=SkinLight(power), plume_light=PlumeLight(power))
         for power in (8.0, 4.0)
     )
-    met = Reflection(BrdfSampling(), bounces=3)
+    met = Method(DirectSampling(0, 1), bounces=3)
     moments = []
     for place, method in enumerate((sharp, drawn, met)):
         keys = [jax.random.key(100 * place + repeat) for repeat in range(8)]
@@ -267,7 +255,7 @@ def mixed_brdf(emissivity, faces):
     return jaxir.BrdfPerFace(kinds, np.arange(faces) // 2 % 3)
 
 
-FURNACE = Reflection(BrdfSampling(), bounces=4)
+FURNACE = Method(DirectSampling(0, 1), bounces=4)
 
 
 def cube(brdf, temperature=500.0):
@@ -280,20 +268,20 @@ def test_inside_of_a_diffuse_furnace(emissivity):
     got = look(jaxir.Scene(cube(jaxir.Lambert(emissivity))), outward(512), FURNACE, jax.random.key(6))
     expected = black(500.0) * (1 - (1 - emissivity) ** 5)
     np.testing.assert_allclose(got, np.full(512, expected), rtol=1e-5)
-    closed = Reflection(BrdfSampling(), bounces=4, beyond=AmbientTerm(black(500.0)))
+    closed = Method(DirectSampling(0, 1), bounces=4, ambient=black(500.0))
     got = look(jaxir.Scene(cube(jaxir.Lambert(emissivity))), outward(512), closed, jax.random.key(6))
     np.testing.assert_allclose(got, np.full(512, black(500.0)), rtol=1e-5)
 
 
 def test_a_furnace_counts_no_emission_twice():
     """Met as a light by the same directions, the skin's glow is one order ahead; the term closes what it reflects."""
-    ahead = Reflection(BrdfSampling(), bounces=3, beyond=AmbientTerm(0.5 * black(500.0)), skin=SkinLight())
+    ahead = Method(DirectSampling(0, 1), bounces=3, ambient=0.5 * black(500.0), skin_light=SkinLight())
     got = look(jaxir.Scene(cube(jaxir.Lambert(0.5))), outward(512), ahead, jax.random.key(6))
     np.testing.assert_allclose(got, np.full(512, black(500.0)), rtol=1e-5)
 
 
 def test_inside_of_a_furnace_of_paint_and_metal():
-    closed = Reflection(BrdfSampling(), bounces=4, beyond=AmbientTerm(black(500.0)))
+    closed = Method(DirectSampling(0, 1), bounces=4, ambient=black(500.0))
     for emissivity in (0.2, 0.5, 0.8):
         scene = jaxir.Scene(cube(mixed_brdf(emissivity, 12)))
         got = look(scene, outward(4096), closed, jax.random.key(7))
@@ -310,7 +298,7 @@ def open_box(brdf, temperature=500.0):
 
 def test_a_cavity_and_its_surroundings_at_one_temperature():
     """O10 with a concave body, seen from outside, lit by the background by both strategies."""
-    method = Reflection(MultipleImportance(), bounces=6, beyond=AmbientTerm(black(500.0)))
+    method = Method(DirectSampling(), bounces=6, ambient=black(500.0))
     rays = rays_down(0.9 * raster(64), 2.0)
     for emissivity in (0.2, 0.8):
         skin = open_box(mixed_brdf(emissivity, 10))
@@ -320,16 +308,16 @@ def test_a_cavity_and_its_surroundings_at_one_temperature():
 
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_a_furnace_has_no_slope_in_emissivity(mode, x64):
-    method = Reflection(BrdfSampling(), bounces=4, beyond=AmbientTerm(1.0))
+    method = Method(DirectSampling(0, 1), bounces=4, ambient=1.0)
     nodes = gray_nodes((jaxir.LWIR,))
     level = jaxir.band_radiance(jnp.asarray(500.0), nodes)
-    method = eqx.tree_at(lambda m: m.beyond.radiance, method, level)
+    method = eqx.tree_at(lambda m: m.ambient, method, level)
     rays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), outward(16))
     body = jaxir.Mesh(np.asarray(box_mesh().vertices), np.asarray(box_mesh().faces))
 
     def mean(emissivity):
         scene = jaxir.Scene(jaxir.Skin(body, 500.0, jaxir.Lambert(emissivity)))
-        return evaluate(radiometry(scene, nodes), trace(scene, rays, method, jax.random.key(9)), method).mean()
+        return evaluate(scene.on(nodes), trace(scene, rays, method, jax.random.key(9))).mean()
 
     slope = jax.jit(mode(mean))(jnp.asarray(0.3))
     assert abs(float(slope)) < 1e-9 * float(level[0])
@@ -370,7 +358,7 @@ ACROSS = rays_down(2.4 * raster(24), 4.0)  # the scene from above, 100 rays per 
 def test_strategies_agree_on_random_scenes():
     """Light, brdf and both, ten bounces, 20 scenes: 60 differences, one in 100 runs of the family may fail."""
     rays = ACROSS
-    methods = [Reflection(d, bounces=10) for d in (LightSampling(), BrdfSampling(), MultipleImportance())]
+    methods = [Method(d, bounces=10) for d in (DirectSampling(1, 0), DirectSampling(0, 1), DirectSampling())]
     worst, power = 0.0, []
     for seed in range(20):
         scene = random_scene(seed)
@@ -392,7 +380,7 @@ def test_slopes_under_bounces_are_those_of_the_expected_intensity():
 
     Ten bounces, 5 scenes: 20 slopes, one in 100 runs of the family may fail.
     """
-    method, repeats, step = Reflection(MultipleImportance(), bounces=10), 2, 0.04
+    method, repeats, step = Method(DirectSampling(), bounces=10), 2, 0.04
     at = jnp.asarray([0.3, 0.5, 0.7, 0.4])
 
     def intensity(seed, values, key):
@@ -430,7 +418,7 @@ def test_a_point_source_falls_with_the_square_and_casts_shadows(precision):
     scene = jaxir.Scene(jaxir.Skin(mesh, COLD, jaxir.Lambert(0.5)), sources=(lamp,))
     points = np.array([[-0.2, 0.1], [0.0, 0.0], [0.45, -0.3]])  # the second looks at the lamp through the blocker
     rays = rays_down(points, 0.2)
-    got = evaluate(radiometry(scene, nodes), trace(scene, rays))[:, 0]
+    got = evaluate(scene.on(nodes), trace(scene, rays))[:, 0]
     square = np.sum((points - 0.4) ** 2, axis=1) + 1
     expected = 0.5 / np.pi * 8.0 / square**1.5 * np.array([1, 0, 1])
     np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-12)
@@ -440,10 +428,10 @@ def test_sky_and_earth_light_the_skin_and_leave_no_contrast_of_their_own():
     """A level white plate shows the sky it sees; contrast counts the skin alone, horizon or not."""
     sky = jaxir.ElevationTable([-90.0, 0.0, 0.0, 90.0], [5.0, 5.0, 2.0, 2.0])
     scene = jaxir.Scene(plate(0.0), background=sky)
-    got = look(scene, rays_down(raster(8)), Reflection(MultipleImportance(4, 4)), jax.random.key(12))
+    got = look(scene, rays_down(raster(8)), Method(DirectSampling(4, 4)), jax.random.key(12))
     agrees(got, 2.0, 0.2)
     camera = jaxir.perspective_camera(0.0, 30.0, 4.0, 0.05, (32, 32))
-    image = jaxir.render(scene, camera, jaxir.LWIR, samples=8, reflection=Reflection(BrdfSampling()))
+    image = jaxir.render(scene, camera, jaxir.LWIR, samples=8, method=Method(DirectSampling(0, 1)))
     assert image.empty.shape == (32, 32, 1)
     assert set(np.unique(np.asarray(image.empty))) >= {2.0, 5.0}
     off = np.asarray(image.radiance == image.empty)
@@ -467,7 +455,7 @@ def test_awkward_lights_give_right_values_and_finite_slopes(place, emissivity):
         light = eqx.tree_at(lambda b: b.radiance, ball, radiance)
         scene = jaxir.Scene(jaxir.Skin(plate().mesh, COLD, jaxir.Lambert(emissivity)), sources=(light,))
         return look(
-            scene, rays_down(np.array([[0.0, 0.0], [0.2, 0.1]])), Reflection(BrdfSampling(2)), jax.random.key(13)
+            scene, rays_down(np.array([[0.0, 0.0], [0.2, 0.1]])), Method(DirectSampling(0, 2)), jax.random.key(13)
         )
 
     value = np.asarray(total(jnp.asarray(emissivity), ball.radiance))
@@ -482,21 +470,23 @@ def test_what_does_not_apply_is_refused():
     ray = rays_down(np.zeros((1, 2)))
     with pytest.raises(ValueError, match="trace: got no key"):
         trace(lit, ray)
-    with pytest.raises(ValueError, match="BrdfSampling.brdfs: got 0"):
-        BrdfSampling(0)
-    with pytest.raises(ValueError, match="Reflection.skin: got SkinLight with ClosedForm"):
-        Reflection(ClosedForm(), skin=SkinLight())
-    with pytest.raises(ValueError, match="Reflection.plume: got PlumeLight with ClosedForm"):
-        Reflection(ClosedForm(), plume=PlumeLight())
-    for method in (Reflection(skin=SkinLight(np.nan)), Reflection(plume=PlumeLight(np.nan))):
+    with pytest.raises(ValueError, match="DirectSampling: got lights = 0 and brdfs = 0, expected at least one sample"):
+        DirectSampling(0, 0)
+    with pytest.raises(ValueError, match="DirectSampling.brdfs: got -1"):
+        DirectSampling(1, -1)
+    with pytest.raises(ValueError, match="Method.skin_light: got SkinLight with direct = ClosedForm"):
+        Method(ClosedForm(), skin_light=SkinLight())
+    with pytest.raises(ValueError, match="Method.plume_light: got PlumeLight with direct = ClosedForm"):
+        Method(ClosedForm(), plume_light=PlumeLight())
+    for method in (Method(skin_light=SkinLight(np.nan)), Method(plume_light=PlumeLight(np.nan))):
         with pytest.raises(ValueError, match="Light.exponent: got nan"):
-            enforce(NODES, method.checks(lit))
-    with pytest.raises(ValueError, match="Reflection.bounces: got -1"):
-        Reflection(bounces=-1)
+            enforce(NODES, method.checks_for(lit))
+    with pytest.raises(ValueError, match="Method.bounces: got -1"):
+        Method(bounces=-1)
 
     def refused(scene, message):
         with pytest.raises(ValueError, match=message):
-            enforce(NODES, Reflection(ClosedForm()).checks(scene))
+            enforce(NODES, Method(ClosedForm()).checks_for(scene))
 
     metal = jaxir.Skin(plate().mesh, COLD, jaxir.RoughConductor(2.0, 2.0, 0.4))
     refused(jaxir.Scene(metal, sources=(DISC,)), "ClosedForm: got RoughConductor skin without plume")
@@ -513,27 +503,27 @@ def test_what_does_not_apply_is_refused():
 def test_passes_are_added_until_the_error_is_met():
     camera = jaxir.orthographic_camera(0.0, 90.0, 1.0 / 16, (16, 16))
     scene = jaxir.Scene(plate(), sources=(DISC,))
-    method = Reflection(LightSampling(1))
-    met = jaxir.render(scene, camera, jaxir.LWIR, samples=2, reflection=method, rtol=0.008)
+    method = Method(DirectSampling(1, 0))
+    met = jaxir.render(scene, camera, jaxir.LWIR, samples=2, method=method, rtol=0.008)
     assert met.outcome == jaxir.Outcome.tolerance_met
     assert int(met.samples) > 2
     error, intensity = float(met.intensity_error()[0]), float(met.radiant_intensity()[0])
     assert error <= 0.008 * intensity
     expected = 50.0 * form_factor(raster(64)).mean()
     assert abs(intensity - expected) < 4 * error
-    spent = jaxir.render(scene, camera, jaxir.LWIR, samples=2, reflection=method, rtol=1e-6, max_samples=6)
+    spent = jaxir.render(scene, camera, jaxir.LWIR, samples=2, method=method, rtol=1e-6, max_samples=6)
     assert spent.outcome == jaxir.Outcome.samples_spent
     assert int(spent.samples) == 6
-    once = jaxir.render(scene, camera, jaxir.LWIR, samples=2, reflection=method)
+    once = jaxir.render(scene, camera, jaxir.LWIR, samples=2, method=method)
     assert once.outcome == jaxir.Outcome.samples_taken
 
 
 def test_standard_errors_of_even_points_are_honest():
     camera = jaxir.orthographic_camera(0.0, 90.0, 1.0 / 16, (16, 16))
     scene = jaxir.Scene(plate(), sources=(DISC,))
-    method = Reflection(MultipleImportance(4, 4), sampler=Sobol())
+    method = Method(DirectSampling(4, 4), sampler=Sobol())
     images = [
-        jaxir.render(scene, camera, jaxir.LWIR, samples=2, reflection=method, key=jax.random.key(k)) for k in range(64)
+        jaxir.render(scene, camera, jaxir.LWIR, samples=2, method=method, key=jax.random.key(k)) for k in range(64)
     ]
     scatter = np.var([float(i.radiant_intensity()[0]) for i in images], ddof=1)
     claimed = np.mean([float(i.intensity_error()[0]) ** 2 for i in images])

@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir import PlumeLight, Reflection, Scattering, SkinLight
+from jaxir import Method, PlumeLight, SkinLight
 from jaxir.geometry import Rays
+from jaxir.medium import medium_optics
 from jaxir.optics.particle import ParticleTable
 from jaxir.optics.spectrum import gray_nodes
-from jaxir.transport.evaluate import evaluate
-from jaxir.transport.medium import plume_optics
-from jaxir.transport.paths import trace
-from jaxir.transport.radiometry import radiometry
+from jaxir.transport import evaluate, trace
 from tests.scenes import box_mesh
 
 NODES = gray_nodes((jaxir.LWIR,))
@@ -24,20 +22,19 @@ WIDE = 1e3  # a slab of thickness 1 is infinite to 1e-6: no path of some orders 
 
 
 @eqx.filter_jit
-def look(scene, rays, key, scattering=None, reflection=None):
+def look(scene, rays, key, method=None):
     """Radiance of each ray [ray]."""
-    paths = trace(scene, rays, reflection, key, scattering)
-    return evaluate(radiometry(scene, NODES), paths, reflection)[:, 0]
+    return evaluate(scene.on(NODES), trace(scene, rays, method, key))[:, 0]
 
 
-RAYS, ORDERS = 40_000, Scattering(25)  # the same wherever they will do: every other number is another compilation
+RAYS, ORDERS = 40_000, Method(orders=25)  # the same wherever they will do: every other number is another compilation
 
 
 def slab(depth, albedo, asymmetry=0.0, temperature=WARM, cells=6, **parts):
     """A slab 0 < z < 1 of particles alone, in `cells` layers."""
     grid = jaxir.Grid((-WIDE / 2, -WIDE / 2, 0.0), (WIDE, WIDE, 1 / cells), (1, 1, cells))
     particles = jaxir.GrayParticles(depth, albedo, jaxir.HenyeyGreenstein(asymmetry))
-    return jaxir.Scene(plume=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.0), particles), **parts)
+    return jaxir.Scene(plumes=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.0), particles), **parts)
 
 
 def down(cosine, count):
@@ -79,7 +76,7 @@ def agrees(values, expected, tolerance, bias=0.0):
 )
 def test_emissivity_of_a_scattering_slab(depth, albedo, cosine, expected):
     """O9; what is left out beyond order n is below albedo^(n + 1), and falls faster where light soon gets out."""
-    orders = Scattering(60) if depth * albedo > 30 else ORDERS
+    orders = Method(orders=60) if depth * albedo > 30 else ORDERS
     got = look(slab(depth, albedo), down(cosine, RAYS), jax.random.key(1), orders)
     agrees(np.asarray(got) / BLACK, expected, 0.01, bias=2e-4)
 
@@ -111,7 +108,7 @@ def test_particles_that_absorb_next_to_nothing_emit_that(lost):
     section = np.array([3e-12, 3e-12])
     table = ParticleTable([500.0, 3000.0], section, section * (1 - lost), 1e-18, [-1.0, 1.0], np.ones((2, 2)))
     for particles in (jaxir.GrayParticles(0.5, 1 - lost, jaxir.Isotropic()), jaxir.Particles(0.5 / 3e-12, table)):
-        seen = plume_optics(jaxir.GrayGas(0.0), particles, NODES, jnp.asarray(WARM))
+        seen = medium_optics(jaxir.GrayGas(0.0), particles, NODES, jnp.asarray(WARM))
         np.testing.assert_allclose(seen.emission / BLACK, 0.5 * lost, rtol=1e-6)
         np.testing.assert_allclose(seen.extinction, 0.5, rtol=1e-6)
 
@@ -128,7 +125,7 @@ def test_sunlight_scattered_once_is_summed_exactly():
     """
     depth, albedo, mu, mu0 = 1.3, 0.7, 0.5, 0.8
     scene = slab(depth, albedo, 0.0, COLD, cells=64, sources=(SUN,))
-    got = look(scene, down(mu, 3), jax.random.key(1), Scattering(0))
+    got = look(scene, down(mu, 3), jax.random.key(1), Method(orders=0))
     path = depth / mu + depth / mu0
     want = 100.0 * albedo / (4 * np.pi) * mu0 / (mu0 + mu) * -np.expm1(-path)
     own, seen = depth / 64 / mu0, depth / 64 / mu
@@ -141,7 +138,7 @@ def test_sunlight_is_conserved():
     scene = slab(depth, 1.0, 0.4, COLD, cells=16, sources=(SUN,))
     up = from_above(count)
     under = Rays(up.origin.at[:, 2].set(-0.001), up.direction * jnp.asarray([[1.0, 1.0, -1.0]]))
-    order = Scattering(40)
+    order = Method(orders=40)
     flux = [np.pi * np.asarray(look(scene, rays, jax.random.key(3), order), float) for rays in (up, under)]
     direct = 80.0 * np.exp(-depth / 0.8)
     agrees(flux[0] + flux[1] + direct, 80.0, 0.02, bias=3e-4)
@@ -169,7 +166,7 @@ def test_skin_lights_particles_and_shades_them():
     """A black unit square .5 below: solid angle 4 asin(1/2), and no sun from underneath."""
     below = jaxir.ParallelSource([0.0, 0.0, 1.0], 1e6)
     scene, rays, share = cloud(skin=plate(WARM), sources=(below,))
-    got = np.asarray(look(scene, rays, jax.random.key(4), Scattering(1)), float)
+    got = np.asarray(look(scene, rays, jax.random.key(4), Method(orders=1)), float)
     agrees(got, share * BLACK * 4 * np.arcsin(0.5), 0.2, bias=1e-3)
 
 
@@ -194,7 +191,7 @@ def test_lights_reach_particles(lamp, arriving):
         jaxir.UniformBackground(on["sky that is not seen"]),
     )
     scene, rays, share = cloud(sources=sources)
-    got = np.asarray(look(scene, rays, jax.random.key(5), Scattering(1)), float)
+    got = np.asarray(look(scene, rays, jax.random.key(5), Method(orders=1)), float)
     agrees(got, share * arriving, 0.05, bias=2e-3)
 
 
@@ -218,11 +215,11 @@ def across(count):
     return Rays(origin, direction / jnp.linalg.norm(direction, axis=-1, keepdims=True))
 
 
-@pytest.mark.parametrize("lights", [{}, {"skin": SkinLight(), "plume": PlumeLight()}], ids=["met", "drawn"])
+@pytest.mark.parametrize("lights", [{}, {"skin_light": SkinLight(), "plume_light": PlumeLight()}], ids=["met", "drawn"])
 def test_furnace_with_particles_and_reflecting_skin(lights):
     """O10: everything at one temperature is one radiance; beyond 8 bounces and orders .4^9 is left out."""
-    method = Reflection(bounces=8, **lights)
-    got = look(furnace(0.7, 0.4), across(8_000), jax.random.key(6), Scattering(8), method)
+    method = Method(bounces=8, orders=8, **lights)
+    got = look(furnace(0.7, 0.4), across(8_000), jax.random.key(6), method)
     assert bool(jnp.isfinite(got).all())
     agrees(np.asarray(got) / BLACK, 1.0, 0.01, bias=5e-4)
 
@@ -232,7 +229,7 @@ def test_nothing_changes_a_furnace():
     rays = across(4096)
 
     def mean(values):
-        return look(furnace(*values), rays, jax.random.key(7), Scattering(6), Reflection(bounces=6)) / BLACK
+        return look(furnace(*values), rays, jax.random.key(7), Method(bounces=6, orders=6)) / BLACK
 
     values = jnp.asarray([0.7, 0.4, 0.4])
     along = jax.jit(lambda tangent: jax.jvp(mean, (values,), (tangent,))[1])  # one column at a time compiles fastest
@@ -276,7 +273,7 @@ def test_a_jet_scatters_as_its_cells_do():
     sun = (jaxir.ParallelSource([0.0, 0.6, -0.8], 2000.0),)
     found = []
     for plume in (jet, jet.to_grid(grid)):
-        got = look(jaxir.Scene(plume=plume, sources=sun), rays, jax.random.key(10), Scattering(3))
+        got = look(jaxir.Scene(plumes=plume, sources=sun), rays, jax.random.key(10), Method(orders=3))
         found.append(np.asarray(got, float))
     error = np.sqrt(sum(values.var() for values in found) / 6000)
     assert error < 0.01 * found[0].mean()
@@ -286,29 +283,31 @@ def test_a_jet_scatters_as_its_cells_do():
 # What is left out, and what is refused --------------------------------------------------------------------------------
 
 
-def test_missing_share_is_what_more_orders_add():
-    scene = jaxir.Scene(plume=furnace(0.5, 0.9, 0.0).plume)
+def test_truncation_is_what_more_orders_add():
+    scene = jaxir.Scene(plumes=furnace(0.5, 0.9, 0.0).plume)
     camera = jaxir.orthographic_camera(30, 20, 0.3, (6, 6))
-    few, many = (jaxir.render(scene, camera, NODES, samples=64, scattering=Scattering(orders)) for orders in (3, 24))
+    few, many = (jaxir.render(scene, camera, NODES, samples=64, method=Method(orders=orders)) for orders in (3, 24))
     grown = float((many.radiant_intensity() / few.radiant_intensity() - 1)[0])
     assert 0.005 < grown < 0.2
-    assert abs(float(few.missing()[0]) / grown - 1) < 0.3
-    assert float(many.missing()[0]) < 1e-3
+    assert abs(float(few.truncation[0]) / grown - 1) < 0.3
+    assert float(many.truncation[0]) < 1e-3
 
 
 def test_scattering_needs_a_key_and_the_exact_sum():
     scene, rays, _ = cloud()
     with pytest.raises(ValueError, match="trace: got no key"):
         trace(scene, rays)
-    with pytest.raises(ValueError, match="path: got PointIntegration, expected CellSum for a plume with particles"):
-        camera = jaxir.orthographic_camera(0, 0, 0.01, (2, 2))
-        jaxir.render(scene, camera, NODES, path=jaxir.PointIntegration())
+    with pytest.raises(
+        ValueError, match="estimate: got CellMedium and 11 segments a path, expected .* without particles"
+    ):
+        paths = trace(scene, rays, None, jax.random.key(1))
+        jaxir.estimate(scene.on(NODES), paths, jaxir.PointIntegration(), jax.random.key(2))
 
 
 @pytest.mark.parametrize("orders", [-1, True])
 def test_orders_must_be_a_count(orders):
-    with pytest.raises(ValueError, match="Scattering.orders: got"):
-        Scattering(orders)
+    with pytest.raises(ValueError, match="Method.orders: got"):
+        Method(orders=orders)
 
 
 def test_particles_must_fit_the_grid():

@@ -17,13 +17,11 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
 from jaxir._arrays import as_float
-from jaxir.imaging import Signature, Views, is_traced, item_by_item, method_of, prepare_views, shared_by, view_intensity
+from jaxir.imaging import Signature, Views, is_traced, item_by_item, prepare_views, shared_by, view_intensity
 from jaxir.io._files import written_whole
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene.scene import Scene
-from jaxir.transport.path_estimator import AbstractPathEstimator, CellSum
-from jaxir.transport.reflection import Reflection
-from jaxir.transport.scattering import Scattering
+from jaxir.scene import Scene
+from jaxir.transport import Method
 
 CONDITIONS = "conditions.json"
 
@@ -38,9 +36,7 @@ def sweep(
     shape: tuple[int, int] = (128, 128),
     samples: int = 2,
     key: Key[Array, ""] | None = None,
-    reflection: Reflection | None = None,
-    scattering: Scattering | None = None,
-    path: AbstractPathEstimator = CellSum(),  # noqa: B008
+    method: Method | None = None,
     devices: Mesh | None = None,
 ) -> Signature:
     """As `jaxir.signature`, but each view is written when it is finished, and views already written are not computed.
@@ -58,9 +54,7 @@ def sweep(
         shape: rows and columns of the images.
         samples: rays per pixel.
         key: random key.
-        reflection: as `jaxir.render`.
-        scattering: as `jaxir.render`.
-        path: as `jaxir.render`.
+        method: as `jaxir.render`.
         devices: as `jaxir.signature`.
 
     Returns:
@@ -70,7 +64,7 @@ def sweep(
         ValueError: as `jaxir.signature`; the folder was begun under other conditions or holds a damaged file; the
             folder it is to be made in does not exist; values known only inside jit.
     """
-    if is_traced((scene, views, distance, key, reflection, scattering, path)):
+    if is_traced((scene, views, distance, key, method)):
         raise ValueError("sweep: got values known only inside jit, expected a call outside it")
     asked = prepare_views(
         scene,
@@ -80,7 +74,7 @@ def sweep(
         shape=shape,
         samples=samples,
         key=key,
-        method=method_of(scene, reflection, scattering, path),
+        method=Method() if method is None else method,
     )
     mesh = shared_by(devices, asked.azimuth.shape[0], "views")
     conditions = _conditions(
@@ -92,7 +86,7 @@ def sweep(
         key=jax.random.key_data(jax.random.key(0) if key is None else key),
     )
     files = _Folder(Path(folder), asked)
-    count, width = asked.azimuth.shape[0], asked.optical.nodes.response.shape[0]
+    count, width = asked.azimuth.shape[0], asked.lit.nodes.response.shape[0]
     there = _from_first(lambda: files.finished(conditions), np.zeros(count, bool))
     to_do = jnp.asarray(np.flatnonzero(~there), jnp.int32)
     for index, found in item_by_item(view_intensity, asked, to_do, "sweep", mesh):
@@ -100,15 +94,15 @@ def sweep(
             for place, *values in zip(index.tolist(), *(np.asarray(part) for part in found), strict=True):
                 files.write(place, *values)
     empty = np.zeros((3, count, width), asked.azimuth.dtype)
-    intensity, error, missing = jnp.asarray(_from_first(files.read, empty))
-    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.optical.nodes.names, missing)
+    intensity, error, truncation = jnp.asarray(_from_first(files.read, empty))
+    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.lit.nodes.names, truncation)
 
 
 class _Folder:
     """The files of one sweep."""
 
     def __init__(self, path: Path, views: Views):
-        self.path, self.bands = path, views.optical.nodes.names
+        self.path, self.bands = path, views.lit.nodes.names
         self.aspect = np.stack([np.asarray(views.azimuth), np.asarray(views.elevation)], axis=1)
 
     def view(self, index: int) -> Path:
@@ -135,7 +129,7 @@ class _Folder:
                 part.write_text(json.dumps(conditions, indent=1))
         return np.array([self.view(i).exists() and self._load(i).size > 0 for i in range(len(self.aspect))])
 
-    def write(self, index: int, intensity: np.ndarray, error: np.ndarray, missing: np.ndarray) -> None:
+    def write(self, index: int, intensity: np.ndarray, error: np.ndarray, truncation: np.ndarray) -> None:
         with written_whole(self.view(index)) as part, part.open("wb") as stream:
             azimuth, elevation = self.aspect[index]
             np.savez(
@@ -144,7 +138,7 @@ class _Folder:
                 elevation=elevation,
                 intensity=intensity,
                 standard_error=error,
-                missing=missing,
+                truncation=truncation,
                 bands=np.array(self.bands),
                 unit="W sr-1",
             )
@@ -152,7 +146,7 @@ class _Folder:
             os.fsync(stream.fileno())
 
     def read(self) -> np.ndarray:
-        """Intensity, standard error and missing share of all views [3, view, band]."""
+        """Intensity, standard error and truncation share of all views [3, view, band]."""
         return np.stack([self._load(index) for index in range(len(self.aspect))], axis=1)
 
     def _load(self, index: int) -> np.ndarray:
@@ -160,7 +154,7 @@ class _Folder:
         try:
             with np.load(file) as data:
                 aspect = np.array([data["azimuth"], data["elevation"]])
-                found = np.stack([data["intensity"], data["standard_error"], data["missing"]])
+                found = np.stack([data["intensity"], data["standard_error"], data["truncation"]])
         except Exception as error:
             raise ValueError(f"{file}: got a damaged file, expected a finished view; delete it to repeat it") from error
         if not np.array_equal(aspect, self.aspect[index]):

@@ -4,14 +4,13 @@ Every table describes one object: `type` names the class or function, the other 
 
     bands         ["MWIR", "LWIR"], with bands of one's own as tables; or a table whose type is `resolved_nodes`
     [skin]        mesh (`load_mesh`), temperature, brdf, and [[skin.parts]] that differ
-    [plume]       GridPlume or JetPlume, with a gas
+    [plumes]      GridPlume or JetPlume, with a gas; [[plumes]] for several
     [[sources]]   lights
     [background]  what lies behind
     [atmosphere]  the air in front
     [camera]      for `render`; [[camera]] with names for several
-    [reflection]  how light is found that is reflected by the skin
-    [scattering]  how often light is scattered by particles
-    [resolve_jet] tolerance to which a jet is integrated
+    [method]      how light is found
+    [resolve_jet] tolerance to which jets are integrated
     [render]      parameters of `jaxir.render`
     [signature]   parameters of `jaxir.signature`, its `views` among them
 
@@ -55,13 +54,9 @@ from jaxir.io.scene_file._vocabulary import (
     k_nodes,
 )
 from jaxir.optics.spectrum import Nodes, gray_nodes, resolved_nodes
-from jaxir.scene.jet import JetPlume
-from jaxir.scene.plume import GridPlume
-from jaxir.scene.scene import Scene
-from jaxir.scene.skin import Skin
-from jaxir.transport.jet import resolve_jet
-from jaxir.transport.reflection import Reflection
-from jaxir.transport.scattering import Scattering
+from jaxir.scene import Scene, Skin
+from jaxir.scene.plume import AbstractPlume, GridPlume, resolve_jet
+from jaxir.transport import Method
 
 
 class SceneFile(NamedTuple):
@@ -72,8 +67,7 @@ class SceneFile(NamedTuple):
         scene: the scene.
         bands: spectral nodes.
         cameras: by name.
-        reflection: how reflected light is found; None for the default.
-        scattering: how often light is scattered by particles; None for the default.
+        method: how light is found; None for the default.
         render: other parameters of `jaxir.render`.
         signature: other parameters of `jaxir.signature`, `views` among them.
         notes: what reading computed fields did to them.
@@ -83,8 +77,7 @@ class SceneFile(NamedTuple):
     scene: Scene
     bands: Nodes
     cameras: dict[str, Camera]
-    reflection: Reflection | None
-    scattering: Scattering | None
+    method: Method | None
     render: dict[str, Any]
     signature: dict[str, Any]
     notes: tuple[str, ...]
@@ -93,11 +86,7 @@ class SceneFile(NamedTuple):
         """What the file says, a line for each part."""
         scene = self.scene
         lines = [] if scene.skin is None else _describe_skin(scene.skin)
-        if scene.plume is not None:
-            hot = scene.plume.exit_temperature if isinstance(scene.plume, JetPlume) else scene.plume.temperature
-            kind, gas = type(scene.plume).__name__, type(scene.plume.gas).__name__
-            with_ = "" if scene.plume.particles is None else f" with {type(scene.plume.particles).__name__}"
-            lines.append(f"plume: {kind} of {gas}{with_}, up to {float(np.max(np.asarray(hot))):.4g} K")
+        lines += [_describe_plume(plume) for plume in scene.plumes]
         lines += [f"source: {type(source).__name__}" for source in scene.sources]
         for name, part in (("background", scene.background), ("atmosphere", scene.atmosphere)):
             lines.append(f"{name}: {'none' if part is None else type(part).__name__}")
@@ -112,6 +101,12 @@ class SceneFile(NamedTuple):
         return "\n".join(lines)
 
 
+def _describe_plume(plume: AbstractPlume) -> str:
+    parts = [getattr(plume, name, None) for name in ("gas", "particles")]
+    made_of = " with ".join(type(part).__name__ for part in parts if part is not None)
+    return f"plume: {type(plume).__name__} of {made_of}, up to {float(plume.hottest()):.4g} K"
+
+
 def _describe_skin(skin: Skin) -> list[str]:
     mesh, part, temperature = skin.mesh, np.asarray(skin.part), np.asarray(skin.temperature)
     size = " x ".join(f"{s:.4g}" for s in np.ptp(np.asarray(mesh.vertices, np.float64), axis=0))
@@ -124,17 +119,21 @@ def _describe_skin(skin: Skin) -> list[str]:
     return lines
 
 
-ELSEWHERE = ("scene", "camera", "bands", "reflection", "scattering")  # parameters with a section of their own
+ELSEWHERE = ("scene", "camera", "bands", "method")  # parameters with a section of their own
+RENAMED = {  # keys of version 0.1, with those that say the same now
+    "plume": "plumes",
+    "reflection": "method",
+    "scattering": "method, with its key orders",
+}
 SECTIONS = (
     "bands",
     "skin",
-    "plume",
+    "plumes",
     "sources",
     "background",
     "atmosphere",
     "camera",
-    "reflection",
-    "scattering",
+    "method",
     "resolve_jet",
     "render",
     "signature",
@@ -155,32 +154,32 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
             type or out of range; one line that names file, key, what was got and what was expected.
     """
     whole = read_toml(Path(path))
+    for old, new in RENAMED.items():
+        if old in whole.children():
+            raise whole.children()[old].wrong(f"the key {new}, which took its place in version 0.2")
     parts = whole.only(SECTIONS, ["bands"])
     bands = _bands(parts["bands"])
-    plume, notes = _plume(parts["plume"]) if "plume" in parts else (None, ())
+    plumes, notes = _plumes(parts["plumes"]) if "plumes" in parts else ((), ())
     if "resolve_jet" in parts:
-        if not isinstance(plume, JetPlume):
-            raise parts["resolve_jet"].wrong("it only beside a plume of type JetPlume")
-        plume = construct(parts["resolve_jet"], resolve_jet, READERS, jet=plume, bands=bands)
+        plumes = _resolved(parts["resolve_jet"], plumes, bands)
     sources = parts["sources"].items() if "sources" in parts else []
     try:
         scene = Scene(
             skin=read_skin(parts["skin"], READERS) if "skin" in parts else None,
-            plume=plume,
-            sources=tuple(build(entry, SOURCES, READERS) for entry in sources),
+            plumes=plumes,
+            sources=tuple(build(entry, {**SOURCES, **BACKGROUNDS}, READERS) for entry in sources),
             background=build(parts["background"], BACKGROUNDS, READERS) if "background" in parts else None,
             atmosphere=build(parts["atmosphere"], ATMOSPHERES, READERS) if "atmosphere" in parts else None,
         )
     except ValueError as error:
         raise whole.failed(error) from error
-    reflection = _reflection(parts["reflection"], scene) if "reflection" in parts else None
+    method = _method(parts["method"], scene) if "method" in parts else None
     return SceneFile(
         file=whole.file,
         scene=scene,
         bands=bands,
         cameras=_cameras(parts["camera"]) if "camera" in parts else {},
-        reflection=reflection,
-        scattering=construct(parts["scattering"], Scattering, READERS) if "scattering" in parts else None,
+        method=method,
         render=arguments(parts["render"], render, RENDER_READERS, ELSEWHERE) if "render" in parts else {},
         signature=_signature(parts["signature"]) if "signature" in parts else {},
         notes=notes,
@@ -193,7 +192,13 @@ def _bands(entry: Entry) -> Nodes:
     return build(entry, {"resolved_nodes": resolved_nodes, "gray_nodes": gray_nodes, "k_nodes": k_nodes}, READERS)
 
 
-def _plume(entry: Entry) -> tuple[GridPlume | JetPlume, tuple[str, ...]]:
+def _plumes(entry: Entry) -> tuple[tuple[AbstractPlume, ...], tuple[str, ...]]:
+    """One plume or several, and what reading fields did to them."""
+    each = [_plume(item) for item in (entry.items() if isinstance(entry.value, list) else [entry])]
+    return tuple(plume for plume, _ in each), tuple(note for _, notes in each for note in notes)
+
+
+def _plume(entry: Entry) -> tuple[AbstractPlume, tuple[str, ...]]:
     children = entry.children()
     if "flow" not in children:
         return build(entry, PLUMES, READERS), ()
@@ -205,11 +210,22 @@ def _plume(entry: Entry) -> tuple[GridPlume | JetPlume, tuple[str, ...]]:
     return construct(gridded, GridPlume, READERS, grid=flow.grid), notes
 
 
-def _reflection(entry: Entry, scene: Scene) -> Reflection:
-    given = arguments(entry, Reflection, READERS)
+def _resolved(entry: Entry, plumes: tuple[AbstractPlume, ...], bands: Nodes) -> tuple[AbstractPlume, ...]:
+    """The plumes, with jets integrated to a tolerance."""
+    if not any(plume.parametric for plume in plumes):
+        raise entry.wrong("it only beside a plume of type JetPlume")
+
+    def own(plume: AbstractPlume) -> AbstractPlume:
+        return construct(entry, resolve_jet, READERS, jet=plume, bands=bands) if plume.parametric else plume
+
+    return tuple(own(plume) for plume in plumes)
+
+
+def _method(entry: Entry, scene: Scene) -> Method:
+    given = arguments(entry, Method, READERS)
     try:
-        reflection = Reflection(**given)
-        return enforce((reflection, scene), reflection.checks(scene))[0]
+        method = Method(**given)
+        return enforce((method, scene), method.checks_for(scene))[0]
     except ValueError as error:
         raise entry.failed(error) from error
 

@@ -25,8 +25,8 @@ from jaxir.io.scene_file._entries import (
     one_of,
     text,
 )
-from jaxir.optics.surface import AbstractBrdf, BrdfPerFace, BrdfTable
-from jaxir.scene.skin import Skin
+from jaxir.optics.surface import AbstractBrdf, BrdfPerFace
+from jaxir.scene import Skin
 
 
 def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
@@ -150,7 +150,8 @@ def _joined(brdfs: Sequence[AbstractBrdf], kind: np.ndarray) -> AbstractBrdf:
 
 def _class(brdf: AbstractBrdf, index: int) -> Any:
     """What may be merged: tables are too large to be repeated for every face, so each stands alone."""
-    return (BrdfTable, index) if isinstance(brdf, BrdfTable) else (type(brdf), -1)
+    small = all(leaf.ndim <= 2 for leaf in jax.tree.leaves(brdf))
+    return type(brdf), -1 if small else index
 
 
 def _merged(brdfs: Sequence[tuple[int, AbstractBrdf]], kind: np.ndarray) -> AbstractBrdf:

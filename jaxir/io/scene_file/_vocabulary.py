@@ -33,24 +33,19 @@ from jaxir.optics.gas import CorrelatedK, CrossSections, GrayGas, NarrowBandGas,
 from jaxir.optics.particle import GrayParticles, HenyeyGreenstein, Isotropic, Particles, TabulatedPhase, mie_table
 from jaxir.optics.spectrum import LWIR, MWIR, SWIR, Band, Nodes, sensor_band
 from jaxir.optics.surface import BrdfTable, Lambert, RoughConductor, SandfordRobertson
-from jaxir.scene.air_path import StandardAtmosphere, TableAtmosphere, UniformAtmosphere
-from jaxir.scene.atmosphere import FixedPath
-from jaxir.scene.background import BlackbodyBackground, UniformBackground
-from jaxir.scene.jet import JetPlume
-from jaxir.scene.near_source import DiscSource, PointSource, PolygonSource, SphereSource
-from jaxir.scene.plume import GridPlume
-from jaxir.scene.sky import ElevationTable
-from jaxir.scene.source import ParallelSource
-from jaxir.transport.path_estimator import CellSum, CombinedIntegration, LineIntegration, PointIntegration
-from jaxir.transport.reflection import (
-    AmbientTerm,
-    BrdfSampling,
-    ClosedForm,
-    LightSampling,
-    MultipleImportance,
-    PlumeLight,
-    SkinLight,
+from jaxir.scene.air import FixedPath, StandardAtmosphere, TableAtmosphere, UniformAtmosphere
+from jaxir.scene.light import (
+    BlackbodyBackground,
+    DiscSource,
+    ElevationTable,
+    ParallelSource,
+    PointSource,
+    PolygonSource,
+    SphereSource,
+    UniformBackground,
 )
+from jaxir.scene.plume import GridPlume, JetPlume
+from jaxir.transport import ClosedForm, DirectSampling, PlumeLight, SkinLight
 
 
 def combustion_gas(pressure: Any, carbon: float, hydrogen: float, equivalence_ratio: Any) -> NarrowBandGas:
@@ -187,24 +182,18 @@ CAMERAS: dict[str, Callable] = {
     "perspective_camera": perspective_camera,
     "orthographic_camera": orthographic_camera,
 }
-DIRECT: dict[str, Callable] = {
-    "MultipleImportance": MultipleImportance,
-    "LightSampling": LightSampling,
-    "BrdfSampling": BrdfSampling,
-    "ClosedForm": ClosedForm,
-}
+DIRECT: dict[str, Callable] = {"DirectSampling": DirectSampling, "ClosedForm": ClosedForm}
 SAMPLERS: dict[str, Callable] = {
     "Independent": Independent,
     "Stratified": Stratified,
     "Sobol": Sobol,
     "Lattice": Lattice,
 }
-PATH_ESTIMATORS: dict[str, Callable] = {
-    "CellSum": CellSum,
-    "PointIntegration": PointIntegration,
-    "LineIntegration": LineIntegration,
-    "CombinedIntegration": CombinedIntegration,
-}
+
+
+def _direct(entry: Entry) -> Any:
+    """How direct light is found; the text "none" leaves it out."""
+    return None if entry.value == "none" else build(entry, DIRECT, READERS, default="DirectSampling")
 
 
 def _of(constructors: dict[str, Callable]) -> Reader:
@@ -214,12 +203,11 @@ def _of(constructors: dict[str, Callable]) -> Reader:
 # How the values of parameters are read, whatever constructor they belong to; those not named here are numbers.
 READERS: dict[str, Reader] = {
     "bands": band_list,
-    "beyond": _of({"AmbientTerm": AmbientTerm}),
     "bounces": integer,
     "brdf": _of(BRDFS),
     "brdfs": integer,
     "coefficient": _per_node,
-    "direct": _of(DIRECT),
+    "direct": _direct,
     "extinction": _per_node,
     "fields": _field_values,
     "gas": _of(GASES),
@@ -233,13 +221,13 @@ READERS: dict[str, Reader] = {
     "particles": _of(PARTICLES),
     "path": existing_file,
     "phase": _of(PHASES),
-    "plume": _of({"PlumeLight": PlumeLight}),
+    "plume_light": _of({"PlumeLight": PlumeLight}),
     "points": integer,
     "profile": _of(PROFILES),
     "sampler": _of(SAMPLERS),
     "samples": integer,
     "shape": sizes,
-    "skin": _of({"SkinLight": SkinLight}),
+    "skin_light": _of({"SkinLight": SkinLight}),
     "table": _mie,
     "tables": _k_tables,
     "unit": one_of(list(METRES)),
@@ -248,5 +236,4 @@ RENDER_READERS: dict[str, Reader] = {
     **READERS,
     "key": _key,
     "max_samples": integer,
-    "path": _of(PATH_ESTIMATORS),
 }

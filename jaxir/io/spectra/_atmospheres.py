@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxir.scene.air_path import TableAtmosphere
+from jaxir._arrays import as_float
+from jaxir.scene.air import TableAtmosphere
 
 _W_PER_CM2 = 1e4  # W cm-2 in W m-2
 
@@ -159,4 +160,4 @@ class _Table:
             raise ValueError(f"{self.file}: got {len(self.samples)} samples, expected at least two")
         table = np.array([sample[1:] for sample in self.samples])
         table = table if table[-1, 0] > table[0, 0] else table[::-1]
-        return TableAtmosphere(table[:, 0], table[:, 1], table[:, 2])
+        return TableAtmosphere(*(as_float(column) for column in table.T))

@@ -17,8 +17,7 @@ from jaxir.io._files import written_whole
 from jaxir.optics.air import altitude_along
 from jaxir.optics.gas import BOLTZMANN, CrossSections, at_quantiles, slot_means
 from jaxir.optics.spectrum import Nodes, band_radiance, bin_edges, build_nodes, quantile_index
-from jaxir.scene.air_path import StandardAtmosphere
-from jaxir.scene.atmosphere import FixedPath
+from jaxir.scene.air import FixedPath, StandardAtmosphere
 
 Absorber = Callable[[float, float, float], Float[np.ndarray, " sample"]]
 """Cross-section of a molecule [sample] [m2] at a temperature [K], a pressure [Pa] and the species' mole fraction."""
@@ -173,7 +172,7 @@ def slot_atmosphere(
         after = slot_means(nodes, grid, ranked_by, depth)
         added += np.asarray(band_radiance(as_float(kelvin[i]), nodes), np.float64) * (before - after)
         before = after
-    return FixedPath(before, np.maximum(added, 0))
+    return FixedPath(as_float(before), as_float(np.maximum(added, 0)))
 
 
 def save_k_tables(path: str | os.PathLike, content: KTables) -> None:
@@ -198,8 +197,8 @@ def save_k_tables(path: str | os.PathLike, content: KTables) -> None:
         arrays |= {f"{table.species}.{name}": value for name, value in table.levels().items()}
         arrays[f"{table.species}.cross_section"] = np.exp(np.asarray(table.log_cross_section, np.float64))
     if content.air is not None:
-        arrays["air.transmittance"] = content.air.given_transmittance
-        arrays["air.path_radiance"] = content.air.given_path_radiance
+        arrays["air.transmittance"] = content.air.transmittance
+        arrays["air.path_radiance"] = content.air.path_radiance
     with written_whole(path) as part, open(part, "wb") as file:
         np.savez_compressed(file, **arrays)
 

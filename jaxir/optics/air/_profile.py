@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, finite, fraction, positive, require_shape
+from jaxir._arrays import as_float, fraction, increasing, positive
+from jaxir._fields import Physical, quantity
 from jaxir.optics._tables import rows
 
 
@@ -23,7 +23,7 @@ class AirState(NamedTuple):
     o3: Float[Array, "*batch"]
 
 
-class Profile(eqx.Module):
+class Profile(Physical):
     """Temperature, pressure, water vapour and ozone at levels of altitude.
 
     Between levels temperature and the logarithms of the others follow a cubic with the slopes of the neighbouring
@@ -39,23 +39,11 @@ class Profile(eqx.Module):
     Differentiable in every field but `altitude`.
     """
 
-    altitude: Float[Array, " level"]
-    temperature: Float[Array, " level"]
-    pressure: Float[Array, " level"]
-    h2o: Float[Array, " level"]
-    o3: Float[Array, " level"]
-
-    def __init__(self, altitude: Any, temperature: Any, pressure: Any, h2o: Any, o3: Any):
-        self.altitude = as_float(altitude, "Profile.altitude")
-        self.temperature = as_float(temperature, "Profile.temperature")
-        self.pressure = as_float(pressure, "Profile.pressure")
-        self.h2o = as_float(h2o, "Profile.h2o")
-        self.o3 = as_float(o3, "Profile.o3")
-        require_shape("Profile.altitude", self.altitude, ("level",))
-        if self.altitude.shape[0] < 2:
-            raise ValueError("Profile.altitude: got one level, expected at least two")
-        for name in ("temperature", "pressure", "h2o", "o3"):
-            require_shape(f"Profile.{name}", getattr(self, name), self.altitude.shape)
+    altitude: Float[Array, " level"] = quantity("m", ("level",), increasing, least=2)
+    temperature: Float[Array, " level"] = quantity("K", ("level",), positive)
+    pressure: Float[Array, " level"] = quantity("Pa", ("level",), positive)
+    h2o: Float[Array, " level"] = quantity("1", ("level",), (positive, fraction))
+    o3: Float[Array, " level"] = quantity("1", ("level",), (positive, fraction))
 
     def at(self, altitude: Float[Array, "*batch"]) -> AirState:
         """The state at `altitude` [m] inside the levels. Differentiable in altitude and in the profile."""
@@ -74,22 +62,10 @@ class Profile(eqx.Module):
         logs = (jnp.exp(cubic(jnp.log(value))) for value in (self.pressure, self.h2o, self.o3))
         return AirState(cubic(self.temperature), *logs)
 
-    def checks(self) -> list[Check]:
-        """Altitudes increase without gaps in the values; temperatures and pressures are positive."""
-        rising = jnp.concatenate([jnp.ones(1, bool), jnp.diff(self.altitude) > 0])
-        return [
-            finite("Profile.altitude", self.altitude),
-            Check("Profile.altitude", self.altitude, rising, "increasing altitudes"),
-            positive("Profile.temperature", self.temperature),
-            positive("Profile.pressure", self.pressure),
-            *(positive(f"Profile.{name}", getattr(self, name)) for name in ("h2o", "o3")),
-            *(fraction(f"Profile.{name}", getattr(self, name)) for name in ("h2o", "o3")),
-        ]
-
 
 def us_standard_1976() -> Profile:
     """The US Standard Atmosphere 1976 to 25 km, with AFGL's water vapour and ozone."""
-    return Profile(*_us_standard_1976())
+    return Profile(*(as_float(column) for column in _us_standard_1976()))
 
 
 @functools.cache

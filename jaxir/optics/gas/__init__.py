@@ -5,7 +5,7 @@ from jaxir.optics.gas._correlated_k import BOLTZMANN as BOLTZMANN
 from jaxir.optics.gas._correlated_k import CorrelatedK as CorrelatedK
 from jaxir.optics.gas._correlated_k import CrossSections as CrossSections
 from jaxir.optics.gas._gas import AbstractGas as AbstractGas
-from jaxir.optics.gas._gas import GrayGas as GrayGas
+from jaxir.optics.gas._gray import GrayGas as GrayGas
 from jaxir.optics.gas._k_distribution import inverse_gaussian_cdf as inverse_gaussian_cdf
 from jaxir.optics.gas._k_distribution import log_quantile as log_quantile
 from jaxir.optics.gas._k_distribution import log_quantile_exact as log_quantile_exact

@@ -12,8 +12,9 @@ import numpy as np
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, enforce, positive
-from jaxir.optics.gas._gas import AbstractGas, mixture_checks, require_cells, require_one_shape, require_uniform
+from jaxir._arrays import Check, as_float, enforce, fraction, positive
+from jaxir._fields import quantity
+from jaxir.optics.gas._gas import AbstractGas, require_cells, require_one_shape, require_uniform, sum_of_mole_fractions
 from jaxir.optics.gas._spline import spline_matrix, spline_weights
 from jaxir.optics.spectrum import Nodes, quantile_index
 
@@ -170,7 +171,7 @@ class CorrelatedK(AbstractGas):
     """
 
     tables: tuple[CrossSections, ...]
-    pressure: Float[Array, "*cell"]
+    pressure: Float[Array, "*cell"] = quantity("Pa", ("*cell",), positive)
     mole_fractions: dict[str, Float[Array, "*cell"]]
 
     def __init__(self, tables: Sequence[CrossSections], pressure: Any, mole_fractions: Mapping[str, Any]):
@@ -183,7 +184,8 @@ class CorrelatedK(AbstractGas):
             )
         self.pressure = as_float(pressure, "CorrelatedK.pressure")
         self.mole_fractions = {
-            species: as_float(mole_fractions[species], f"CorrelatedK.{species}") for species in sorted(mole_fractions)
+            species: as_float(mole_fractions[species], f"CorrelatedK.mole_fractions.{species}")
+            for species in sorted(mole_fractions)
         }
         self.tables = tuple(known[species] for species in self.mole_fractions)
         require_one_shape("CorrelatedK", self._fields())
@@ -217,11 +219,15 @@ class CorrelatedK(AbstractGas):
         amounts = {species: share * amount for species, amount in self.mole_fractions.items()}
         return CorrelatedK(self.tables, self.pressure, amounts)
 
-    def checks(self) -> list[Check]:
-        """Pressure is > 0, mole fractions lie in [0, 1] and sum to at most 1."""
+    def amounts(self) -> tuple[Any, ...]:
+        """See `AbstractGas.amounts`: the mole fractions of all species."""
+        return tuple(self.mole_fractions.values())
+
+    def relations(self) -> list[Check]:
+        """Mole fractions lie in [0, 1] and sum to at most 1."""
         return [
-            positive("CorrelatedK.pressure", self.pressure),
-            *mixture_checks("CorrelatedK", self.mole_fractions),
+            *(fraction(f"CorrelatedK.mole_fractions.{species}", x) for species, x in self.mole_fractions.items()),
+            sum_of_mole_fractions("CorrelatedK", self.mole_fractions),
         ]
 
 

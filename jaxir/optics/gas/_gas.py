@@ -7,15 +7,15 @@ import functools
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, fraction, non_negative
+from jaxir._arrays import Check
+from jaxir._fields import Physical
 from jaxir.optics.spectrum import Nodes
 
 
-class AbstractGas(eqx.Module):
+class AbstractGas(Physical):
     """A gas: absorption coefficient per node as a function of temperature and of the gas's own fields."""
 
     @abc.abstractmethod
@@ -36,8 +36,11 @@ class AbstractGas(eqx.Module):
         """
 
     @abc.abstractmethod
-    def checks(self) -> list[Check]:
-        """What must hold of the fields' values."""
+    def amounts(self) -> tuple[Any, ...]:
+        """The leaves that are amounts of what absorbs, all to be scaled by one factor; () where none is known.
+
+        Of any kind, because fits ask for them in gases whose leaves stand for themselves.
+        """
 
 
 def require_cells(name: str, fields: list[Array], temperature: Array) -> None:
@@ -64,58 +67,7 @@ def require_uniform(name: str, fields: list[Array]) -> None:
         )
 
 
-def mixture_checks(name: str, amounts: Mapping[str, Array]) -> list[Check]:
-    """Mole fractions of the gas `name` lie in [0, 1] and sum to at most 1."""
+def sum_of_mole_fractions(name: str, amounts: Mapping[str, Array]) -> Check:
+    """Mole fractions of the gas `name` sum to at most 1."""
     total = functools.reduce(jnp.add, jnp.broadcast_arrays(*amounts.values()))
-    return [
-        *(fraction(f"{name}.{species}", value) for species, value in amounts.items()),
-        Check(f"{name}: sum of mole fractions", total, total <= 1 + 1e-5, "a sum <= 1"),
-    ]
-
-
-class GrayGas(AbstractGas):
-    """A gas whose absorption coefficient is given, whatever its temperature.
-
-    Attributes:
-        coefficient: absorption coefficient [m-1]; shape [*cell, node], where the node axis may have length 1 (the
-            same in every node) and the cell axes may be absent (the same in every cell).
-
-    Differentiable in `coefficient`.
-    """
-
-    coefficient: Float[Array, "..."]
-
-    def __init__(self, coefficient: Any):
-        value = as_float(coefficient, "GrayGas.coefficient")
-        self.coefficient = value[None] if value.ndim == 0 else value
-
-    def absorption(self, nodes: Nodes, temperature: Float[Array, "*cell"]) -> Float[Array, "*cell node"]:
-        """See `AbstractGas.absorption`; independent of temperature."""
-        value = self.coefficient
-        shape = temperature.shape + (nodes.count,)
-        cells, node = value.shape[:-1], value.shape[-1]
-        if cells not in ((), temperature.shape) or node not in (1, nodes.count):
-            raise ValueError(
-                f"GrayGas.coefficient: got shape {value.shape}, expected [*cell, node] with cells "
-                f"{temperature.shape} (or none) and {nodes.count} nodes (or 1)"
-            )
-        spread = value.reshape((1,) * (len(shape) - value.ndim) + value.shape)
-        return jnp.broadcast_to(spread, shape)
-
-    def diluted(self, share: Float[Array, "*cell"], density: Float[Array, "*cell"]) -> GrayGas:
-        """See `AbstractGas.diluted`: the coefficient is proportional to the number of absorbers in a volume.
-
-        Raises:
-            ValueError: the coefficient already differs from cell to cell.
-        """
-        if self.coefficient.ndim != 1:
-            raise ValueError(
-                f"GrayGas.coefficient: got shape {self.coefficient.shape}, expected one value or (node,): gas that is "
-                "the same everywhere before it is diluted"
-            )
-        absorbers = share * density
-        return GrayGas(absorbers[..., None] * self.coefficient.reshape((1,) * absorbers.ndim + (-1,)))
-
-    def checks(self) -> list[Check]:
-        """Coefficients are finite and >= 0."""
-        return [non_negative("GrayGas.coefficient", self.coefficient)]
+    return Check(f"{name}: sum of mole fractions", total, total <= 1 + 1e-5, "a sum <= 1")

@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, enforce, positive
+from jaxir._arrays import Check, as_float, enforce, fraction, positive
+from jaxir._fields import quantity
 from jaxir.optics._tables import ABSENT, HOT_GAS_EDGES, HOT_GAS_TEMPERATURE, hot_gas, overlap_matrix
 from jaxir.optics.gas._combustion import NITROGEN_PER_OXYGEN
-from jaxir.optics.gas._gas import AbstractGas, mixture_checks, require_cells, require_one_shape, require_uniform
+from jaxir.optics.gas._gas import AbstractGas, require_cells, require_uniform, sum_of_mole_fractions
 from jaxir.optics.gas._k_distribution import log_quantile, quantile_series
 from jaxir.optics.gas._spline import spline_matrix, spline_weights
 from jaxir.optics.spectrum import Nodes, quantile_index
@@ -64,19 +65,13 @@ class NarrowBandGas(AbstractGas):
     Differentiable in every field; not in the quantiles of the nodes.
     """
 
-    pressure: Float[Array, "*cell"]
-    h2o: Float[Array, "*cell"] | None
-    co2: Float[Array, "*cell"] | None
-    co: Float[Array, "*cell"] | None
-    o2: Float[Array, "*cell"]
+    pressure: Float[Array, "*cell"] = quantity("Pa", ("*cell",), positive)
+    h2o: Float[Array, "*cell"] | None = quantity("1", ("*cell",), fraction, default=None)
+    co2: Float[Array, "*cell"] | None = quantity("1", ("*cell",), fraction, default=None)
+    co: Float[Array, "*cell"] | None = quantity("1", ("*cell",), fraction, default=None)
+    o2: Float[Array, "*cell"] = quantity("1", ("*cell",), fraction, default=0.0)
 
-    def __init__(self, pressure: Any, h2o: Any = None, co2: Any = None, co: Any = None, o2: Any = 0.0):
-        self.pressure = as_float(pressure, "NarrowBandGas.pressure")
-        self.h2o = None if h2o is None else as_float(h2o, "NarrowBandGas.h2o")
-        self.co2 = None if co2 is None else as_float(co2, "NarrowBandGas.co2")
-        self.co = None if co is None else as_float(co, "NarrowBandGas.co")
-        self.o2 = as_float(o2, "NarrowBandGas.o2")
-        require_one_shape("NarrowBandGas", jax.tree.leaves(self))
+    def __check_init__(self) -> None:
         if self.h2o is None and self.co2 is None and self.co is None:
             raise ValueError("NarrowBandGas: got no species, expected a mole fraction for h2o, co2 or co")
 
@@ -130,11 +125,15 @@ class NarrowBandGas(AbstractGas):
         own = {"CO2": others[0], "H2O": others[1], "CO": others[2]}[species]
         return pressure * (width * jnp.sqrt(cold) + resonant * own * cold)
 
-    def checks(self) -> list[Check]:
-        """Pressure is > 0, mole fractions lie in [0, 1] and sum to at most 1."""
+    def amounts(self) -> tuple[Any, ...]:
+        """See `AbstractGas.amounts`: the mole fractions of the species that absorb."""
+        return tuple(amount for amount in (self.h2o, self.co2, self.co) if amount is not None)
+
+    def relations(self) -> list[Check]:
+        """Mole fractions sum to at most 1."""
         amounts = {"h2o": self.h2o, "co2": self.co2, "co": self.co, "o2": self.o2}
         given = {name: value for name, value in amounts.items() if value is not None}
-        return [positive("NarrowBandGas.pressure", self.pressure), *mixture_checks("NarrowBandGas", given)]
+        return [sum_of_mole_fractions("NarrowBandGas", given)]
 
 
 class _SpeciesTable(eqx.Module):

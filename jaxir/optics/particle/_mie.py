@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from jaxir.optics.particle._particles import ParticleTable
+from jaxir.optics.particle._tabulated import ParticleTable
 
 
 def mie_table(

@@ -11,14 +11,15 @@ from __future__ import annotations
 import abc
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, non_negative, positive, require_shape
+from jaxir._arrays import Check, as_float, increasing, non_negative, positive, require_shape
+from jaxir._fields import Physical, quantity, spectral
+from jaxir._math import safe_divide
 
 
-class AbstractPhase(eqx.Module):
+class AbstractPhase(Physical):
     """A phase function [sr-1] with its sampler."""
 
     @abc.abstractmethod
@@ -32,10 +33,6 @@ class AbstractPhase(eqx.Module):
     @abc.abstractmethod
     def pdf(self, cosine: Float[Array, ""]) -> Float[Array, ""]:
         """Density [sr-1] of the direction with the cosine that `sample` returns and a uniform azimuth."""
-
-    @abc.abstractmethod
-    def checks(self) -> list[Check]:
-        """What must hold of the parameters' values."""
 
 
 class Isotropic(AbstractPhase):
@@ -53,9 +50,9 @@ class Isotropic(AbstractPhase):
         """See `AbstractPhase.pdf`."""
         return jnp.full_like(cosine, 1 / (4 * jnp.pi))
 
-    def checks(self) -> list[Check]:
-        """Nothing to check."""
-        return []
+
+def _inside(field: str, value: Array) -> Check:
+    return Check(field, value, jnp.abs(value) < 1, "values inside (-1, 1)")
 
 
 class HenyeyGreenstein(AbstractPhase):
@@ -69,12 +66,7 @@ class HenyeyGreenstein(AbstractPhase):
     Differentiable in `asymmetry`.
     """
 
-    asymmetry: Float[Array, " node"]
-
-    def __init__(self, asymmetry: Any):
-        value = as_float(asymmetry, "HenyeyGreenstein.asymmetry")
-        self.asymmetry = value[None] if value.ndim == 0 else value
-        require_shape("HenyeyGreenstein.asymmetry", self.asymmetry, ("node",))
+    asymmetry: Float[Array, " node"] = spectral("1", _inside)
 
     def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
         """See `AbstractPhase.eval`."""
@@ -97,10 +89,12 @@ class HenyeyGreenstein(AbstractPhase):
         """See `AbstractPhase.pdf`."""
         return jnp.mean(self.eval(cosine))
 
-    def checks(self) -> list[Check]:
-        """The asymmetry lies inside (-1, 1)."""
-        inside = jnp.abs(self.asymmetry) < 1
-        return [Check("HenyeyGreenstein.asymmetry", self.asymmetry, inside, "values inside (-1, 1)")]
+
+def from_minus_one_to_one(field: str, value: Array) -> Check:
+    """`value` [sample] begins with -1 and ends with 1."""
+    ends = jnp.array([0, -1])
+    reached = jnp.abs(value[ends] - jnp.array([-1, 1], value.dtype)) < 1e-6
+    return Check(f"{field}: ends", value[ends], reached, "cosines from -1 to 1")
 
 
 class TabulatedPhase(AbstractPhase):
@@ -113,19 +107,18 @@ class TabulatedPhase(AbstractPhase):
     Differentiable in `value`.
     """
 
-    cosine: Float[Array, " angle"]
-    value: Float[Array, "node angle"]
+    cosine: Float[Array, " angle"] = quantity("1", ("angle",), (increasing, from_minus_one_to_one), least=2)
+    value: Float[Array, "node angle"] = quantity("sr-1", ("node", "angle"), non_negative)
 
     def __init__(self, cosine: Any, value: Any):
-        """Convert and normalise; `value` is [angle] or [node or 1, angle], in any unit."""
+        """Normalise; `value` is [angle] or [node or 1, angle], in any unit."""
         self.cosine = as_float(cosine, "TabulatedPhase.cosine")
-        require_shape("TabulatedPhase.cosine", self.cosine, ("angle",))
-        if self.cosine.shape[0] < 2:
-            raise ValueError("TabulatedPhase.cosine: got one sample, expected at least two")
         given = as_float(value, "TabulatedPhase.value")
         given = given[None] if given.ndim == 1 else given
+        require_shape("TabulatedPhase.cosine", self.cosine, ("angle",))
         require_shape("TabulatedPhase.value", given, ("node", self.cosine.shape[0]))
-        self.value = given / (2 * jnp.pi * jnp.sum(_pieces(self.cosine, given), axis=-1, keepdims=True))
+        whole = 2 * jnp.pi * jnp.sum(_pieces(self.cosine, given), axis=-1, keepdims=True)
+        self.value = safe_divide(given, whole)  # 0 is refused by `relations`
 
     def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
         """See `AbstractPhase.eval`."""
@@ -141,10 +134,10 @@ class TabulatedPhase(AbstractPhase):
         below = jnp.clip(jnp.searchsorted(upto, target, side="right") - 1, 0, pieces.shape[0] - 1).astype(jnp.int32)
         low, high = mean[below], mean[below + 1]
         piece = pieces[below]
-        rest = jnp.clip((target - upto[below]) / jnp.where(piece > 0, piece, 1), 0, 1)
+        rest = jnp.clip(safe_divide(target - upto[below], piece), 0, 1)
         # low t + (high - low) t^2 / 2 = rest (low + high) / 2, by the root without cancellation
         root = jnp.sqrt(low * low + rest * (high - low) * (high + low))
-        t = rest * (low + high) / jnp.where(low + root > 0, low + root, 1)
+        t = safe_divide(rest * (low + high), low + root)
         return self.cosine[below] + (self.cosine[below + 1] - self.cosine[below]) * jnp.clip(t, 0, 1)
 
     def pdf(self, cosine: Float[Array, ""]) -> Float[Array, ""]:
@@ -157,26 +150,9 @@ class TabulatedPhase(AbstractPhase):
         share = (cosine - self.cosine[below]) / (self.cosine[below + 1] - self.cosine[below])
         return below, jnp.clip(share, 0, 1)
 
-    def checks(self) -> list[Check]:
-        """Cosines increase from -1 to 1; values are >= 0 and not all 0."""
-        return [*cosine_checks("TabulatedPhase.cosine", self.cosine), *self._value_checks()]
-
-    def _value_checks(self) -> list[Check]:
-        whole = jnp.sum(self.value, axis=-1)
-        return [
-            positive("TabulatedPhase.value: sum over angles", whole),
-            non_negative("TabulatedPhase.value", self.value),
-        ]
-
-
-def cosine_checks(field: str, cosine: Float[Array, " angle"]) -> list[Check]:
-    """Cosines of a table increase from -1 to 1."""
-    rising = jnp.concatenate([jnp.ones(1, bool), jnp.diff(cosine) > 0])
-    ends = jnp.abs(cosine[jnp.array([0, -1])] - jnp.array([-1, 1], cosine.dtype)) < 1e-6
-    return [
-        Check(field, cosine, rising, "increasing cosines"),
-        Check(f"{field}: ends", cosine[jnp.array([0, -1])], ends, "cosines from -1 to 1"),
-    ]
+    def relations(self) -> list[Check]:
+        """The values are not all 0."""
+        return [positive("TabulatedPhase.value: sum over angles", jnp.sum(self.value, axis=-1))]
 
 
 def _pieces(cosine: Float[Array, " angle"], value: Float[Array, "*batch angle"]) -> Float[Array, "*batch piece"]:

@@ -21,6 +21,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
+from jaxir._math import gauss_legendre
 from jaxir.optics.spectrum._band import SECOND_RADIATION, Nodes, wavelength_to_wavenumber
 
 FIRST_RADIATION = 1.1910429723971884e-8  # 2 h c^2 [W m-2 sr-1 / (cm-1)^4], exact since 2019 (CODATA 2018)
@@ -105,7 +106,7 @@ def _bin_radiance(
     width: Float[Array, "*batch"],
 ) -> Float[Array, "*batch"]:
     """K T^4 times the integral of x^3/(e^x - 1) from (lead + rest)/T over width/T."""
-    point, weight = _gauss_legendre(_POINTS[temperature.dtype.itemsize])
+    point, weight = gauss_legendre(_POINTS[temperature.dtype.itemsize])
     first = lead / temperature
     error = (lax.stop_gradient(_remainder(lead, temperature)) + rest) / temperature
     reach = -jnp.expm1(-width / (temperature * _STRETCH))
@@ -141,12 +142,6 @@ def _split(value: Array) -> tuple[Array, Array]:
     bits = lax.bitcast_convert_type(value, jnp.uint32) & jnp.uint32(0xFFFFF000)
     high = lax.bitcast_convert_type(bits, jnp.float32)
     return high, value - high
-
-
-def _gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on [0, 1]."""
-    node, weight = np.polynomial.legendre.leggauss(points)
-    return (node + 1) / 2, weight / 2
 
 
 def brightness_temperature(radiance: Float[Array, "*batch band"], nodes: Nodes) -> Float[Array, "*batch band"]:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxir._math import gauss_legendre
 from jaxir.optics.spectrum._band import Band, Nodes, build_nodes, gray_nodes
 
 CO2_H2O_OVERLAP = ((800.0, 1150.0), (3300.0, 3800.0), (4800.0, 5150.0))
@@ -34,8 +35,7 @@ def quantiles(points: int) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         g [point] and weights [point], which sum to 1.
     """
-    node, weight = np.polynomial.legendre.leggauss(points)
-    s = (node + 1) / 2
+    s, weight = gauss_legendre(points)
     weight = weight * (1 - s) ** (_STRETCH - 1)
     return 1 - (1 - s) ** _STRETCH, weight / weight.sum()
 

@@ -11,19 +11,19 @@ from __future__ import annotations
 import abc
 from typing import Any, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxir._arrays import Check, as_float, fraction
+from jaxir._arrays import Check
+from jaxir._fields import Physical, Range, per_face, quantity
 from jaxir._math import dot, frame_around
 
 B = TypeVar("B", bound="AbstractBrdf")
 
 
-class AbstractBrdf(eqx.Module):
+class AbstractBrdf(Physical):
     """A bidirectional reflectance distribution function [sr-1] with its sampler and its hemispherical integral."""
 
     @abc.abstractmethod
@@ -44,20 +44,21 @@ class AbstractBrdf(eqx.Module):
     ) -> Float[Array, ""]:
         """Density [sr-1] with which `sample` returns `omega_i`. Not to be differentiated."""
 
+    @property
     @abc.abstractmethod
-    def reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+    def diffuse(self) -> bool:
+        """Whether the brdf is the same for all directions, whatever its parameters."""
+
+    @abc.abstractmethod
+    def directional_reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
         """Directional-hemispherical reflectance [node | 1], int brdf cos_i d omega_i, for cos_o = |omega_o . normal|.
 
         Differentiable in parameters and cos_o.
         """
 
     @abc.abstractmethod
-    def checks(self) -> list[Check]:
-        """What must hold of the parameters' values."""
-
-    @abc.abstractmethod
-    def emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """Directional emissivity [node | 1] for cos_o: 1 - reflectance. Differentiable in parameters and cos_o."""
+    def directional_emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """Emissivity [node | 1] toward cos_o: 1 - directional reflectance. Differentiable in parameters and cos_o."""
 
     def at(self: B, face: Int[Array, "*batch"]) -> B:
         """The brdf of one face (or of a batch of faces): every leaf [face | 1, ...] loses its face axis."""
@@ -69,12 +70,14 @@ class AbstractBrdf(eqx.Module):
         return np.broadcast_shapes(*((span[0], span[-1]) for span in spans))
 
 
-def as_parameter(value: Any, field: str) -> Float[Array, "face node"]:
-    """`value` (a number, [face] or [face, node]) as a leaf [face | 1, node | 1]."""
-    array = as_float(value, field)
-    if array.ndim > 2 or 0 in array.shape:
-        raise ValueError(f"{field}: got shape {array.shape}, expected a number, (face,) or (face, node)")
-    return array.reshape(array.shape + (1,) * (2 - array.ndim)) if array.ndim else array.reshape(1, 1)
+def parameter(within: Range) -> Any:
+    """A field of a brdf, without unit: a number, [face] or [face, node] becomes a leaf [face | 1, node | 1]."""
+    return quantity("1", ("face", "node"), within, per_face, least=1)
+
+
+def positive_fraction(field: str, value: Array) -> Check:
+    """`value` lies in (0, 1]."""
+    return Check(field, value, (value > 0) & (value <= 1), "values in (0, 1]")
 
 
 def facing(omega: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Float[Array, " 3"]:
@@ -93,49 +96,3 @@ def cosine_direction(u: Float[Array, " 2"], normal: Float[Array, " 3"]) -> Float
 def cosine_density(omega: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Float[Array, ""]:
     """Density [sr-1] of `cosine_direction`: cos / pi, 0 below the horizon."""
     return jnp.maximum(dot(omega, normal), 0) / jnp.pi
-
-
-class Lambert(AbstractBrdf):
-    """A diffuse reflector, the same in every direction: brdf = (1 - emissivity) / pi.
-
-    Attributes:
-        hemispherical_emissivity: [face | 1, node | 1].
-
-    Differentiable in the emissivity.
-    """
-
-    hemispherical_emissivity: Float[Array, "..."]
-
-    def __init__(self, emissivity: Any):
-        self.hemispherical_emissivity = as_parameter(emissivity, "Lambert.emissivity")
-
-    def eval(
-        self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
-    ) -> Float[Array, " node"]:
-        """See `AbstractBrdf.eval`."""
-        above = dot(omega_i, facing(omega_o, normal)) > 0
-        return jnp.where(above, (1 - self.hemispherical_emissivity) / jnp.pi, 0)
-
-    def sample(
-        self, u: Float[Array, " 2"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
-    ) -> Float[Array, " 3"]:
-        """See `AbstractBrdf.sample`; density cos / pi."""
-        return cosine_direction(u, facing(omega_o, normal))
-
-    def pdf(
-        self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
-    ) -> Float[Array, ""]:
-        """See `AbstractBrdf.pdf`."""
-        return cosine_density(omega_i, facing(omega_o, normal))
-
-    def reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.reflectance`; independent of cos_o."""
-        return 1 - self.hemispherical_emissivity
-
-    def emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.emissivity`; the parameter itself, free of the rounding of 1 - (1 - emissivity)."""
-        return self.hemispherical_emissivity
-
-    def checks(self) -> list[Check]:
-        """Emissivities lie in [0, 1]."""
-        return [fraction("Lambert.emissivity", self.hemispherical_emissivity)]

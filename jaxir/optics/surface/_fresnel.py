@@ -5,6 +5,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxir._math import safe_divide, safe_sqrt
+
 
 def conductor_absorptance(
     cos: Float[Array, "*batch"], index: Float[Array, "*batch"], extinction: Float[Array, "*batch"]
@@ -33,20 +35,15 @@ def conductor_absorptance(
     square = 1 - cos * cos
     product = 2 * index * extinction
     real = (index - extinction) * (index + extinction) - square
-    modulus = _sqrt(real * real + product * product)
+    modulus = safe_sqrt(real * real + product * product)
     dense = real >= 0
     spread = jnp.where(dense, modulus + real, modulus - real)
-    twice = jnp.where(dense, spread, product * product / jnp.where(spread > 0, spread, 1))
-    slope = cos * _sqrt(2 * twice)  # 2 a cos
+    twice = jnp.where(dense, spread, safe_divide(product * product, spread))
+    slope = cos * safe_sqrt(2 * twice)  # 2 a cos
     across = modulus + cos * cos
-    absorbed_s = 2 * slope / jnp.where(across + slope > 0, across + slope, 1)
+    absorbed_s = safe_divide(2 * slope, across + slope)
     along = cos * cos * modulus + square * square
     tilt = slope * square
-    ratio = 2 * tilt / jnp.where(along + tilt > 0, along + tilt, 1)
+    ratio = safe_divide(2 * tilt, along + tilt)
     absorbed_p = absorbed_s + (1 - absorbed_s) * ratio
     return (absorbed_s + absorbed_p) / 2
-
-
-def _sqrt(value: Array) -> Array:
-    """Square root with a derivative of 0 at 0."""
-    return jnp.where(value > 0, jnp.sqrt(jnp.where(value > 0, value, 1)), 0)

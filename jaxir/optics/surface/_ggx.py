@@ -10,16 +10,22 @@ of the light at normal incidence for a roughness of .3 would otherwise appear as
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, non_negative, positive
-from jaxir._math import dot, frame_around
-from jaxir.optics.surface._brdf import AbstractBrdf, as_parameter, cosine_density, cosine_direction, facing
+from jaxir._arrays import as_float, non_negative, positive
+from jaxir._math import dot, frame_around, gauss_legendre, safe_divide, safe_sqrt
+from jaxir.optics.surface._brdf import (
+    AbstractBrdf,
+    cosine_density,
+    cosine_direction,
+    facing,
+    parameter,
+    positive_fraction,
+)
 from jaxir.optics.surface._fresnel import conductor_absorptance
 
 _DEGREE = (16, 10)  # Chebyshev coefficients of the loss in (direction, roughness)
@@ -47,16 +53,14 @@ class RoughConductor(AbstractBrdf):
     Differentiable in all three.
     """
 
-    index: Float[Array, "..."]
-    extinction: Float[Array, "..."]
-    roughness: Float[Array, "..."]
+    index: Float[Array, "face node"] = parameter(positive)
+    extinction: Float[Array, "face node"] = parameter(non_negative)
+    roughness: Float[Array, "face node"] = parameter(positive_fraction)
 
-    def __init__(self, index: Any, extinction: Any, roughness: Any):
-        """Convert; each is a number, [face] or [face, node]."""
-        self.index = as_parameter(index, "RoughConductor.index")
-        self.extinction = as_parameter(extinction, "RoughConductor.extinction")
-        self.roughness = as_parameter(roughness, "RoughConductor.roughness")
-        self.shape()
+    @property
+    def diffuse(self) -> bool:
+        """See `AbstractBrdf.diffuse`."""
+        return False
 
     def eval(
         self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
@@ -103,13 +107,16 @@ class RoughConductor(AbstractBrdf):
         facet = jnp.where((half[2] > 0) & (dot(o, half) > 0), facet, 0)
         return share * cosine_density(omega_i, up) + (1 - share) * facet
 
-    def reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.reflectance`."""
-        return 1 - self.emissivity(cos_o)
+    def directional_reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.directional_reflectance`."""
+        return 1 - self.directional_emissivity(cos_o)
 
-    def emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.emissivity`; E <A> + (1 - E)(1 - F_ms) with <A> the mean absorptance of visible facets."""
-        o = jnp.stack([_sqrt(1 - cos_o * cos_o), jnp.zeros_like(cos_o), cos_o])
+    def directional_emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.directional_emissivity`.
+
+        E <A> + (1 - E)(1 - F_ms) with <A> the mean absorptance of visible facets.
+        """
+        o = jnp.stack([safe_sqrt(1 - cos_o * cos_o), jnp.zeros_like(cos_o), cos_o])
         u, weight = (as_float(a) for a in _facet_points())
 
         def facet(u: Array, weight: Array) -> tuple[Array, Array]:
@@ -122,20 +129,7 @@ class RoughConductor(AbstractBrdf):
 
         total, below = (jnp.sum(part, axis=0) for part in jax.vmap(facet)(u, weight))
         loss = _loss(cos_o, self.roughness)
-        return (1 - loss) * total / jnp.where(below > 0, below, 1) + loss * self._lost_absorptance()
-
-    def checks(self) -> list[Check]:
-        """The index is positive, the extinction not negative, the roughness in (0, 1]."""
-        return [
-            positive("RoughConductor.index", self.index),
-            non_negative("RoughConductor.extinction", self.extinction),
-            Check(
-                "RoughConductor.roughness",
-                self.roughness,
-                (self.roughness > 0) & (self.roughness <= 1),
-                "values in (0, 1]",
-            ),
-        ]
+        return safe_divide((1 - loss) * total, below) + loss * self._lost_absorptance()
 
     def _absorptance(self, cos: Float[Array, "..."]) -> Float[Array, " node"]:
         node = jnp.broadcast_shapes(cos.shape, self.index.shape, self.extinction.shape)
@@ -143,7 +137,7 @@ class RoughConductor(AbstractBrdf):
 
     def _lost_absorptance(self) -> Float[Array, " node"]:
         """1 - F_ms = A (1 + F E) / (1 - F (1 - E)), F = 1 - A and E means over cosine-weighted directions."""
-        point, weight = (as_float(a) for a in _gauss_legendre(_MEAN))
+        point, weight = (as_float(a) for a in gauss_legendre(_MEAN))
         absorbed = jnp.sum(2 * (weight * point)[:, None] * jax.vmap(self._absorptance)(point), axis=0)
         reflected, loss = 1 - absorbed, _mean_loss(self.roughness)
         return absorbed * (1 + reflected * (1 - loss)) / (1 - reflected * loss)
@@ -181,7 +175,7 @@ def _visible_facet(
     long = jnp.sqrt(o[2] ** 2 + roughness**2 * (o[0] ** 2 + o[1] ** 2))
     x, y, z = roughness * o[0] / long, roughness * o[1] / long, o[2] / long
     height = (1 - u) * (1 + z) - z
-    radius = _sqrt(1 - height * height)
+    radius = safe_sqrt(1 - height * height)
     h = jnp.stack([roughness * (radius * jnp.cos(angle) + x), roughness * (radius * jnp.sin(angle) + y), height + z])
     square = jnp.sum(h * h, axis=0)
     return h / jnp.sqrt(jnp.where(square > 0, square, 1))[None]
@@ -197,17 +191,12 @@ def _diffuse_share(cos_o: Float[Array, ""], roughness: Float[Array, ""]) -> Floa
     return jnp.clip(_loss(cos_o, roughness), 0.02, 0.9)
 
 
-def _sqrt(value: Array) -> Array:
-    """Square root with a derivative of 0 at 0."""
-    return jnp.where(value > 0, jnp.sqrt(jnp.where(value > 0, value, 1)), 0)
-
-
 # The energy that single scattering loses ----------------------------------------------------------------------------
 
 
 def _loss(cos: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Array, "..."]:
     """1 - E(cos, a), a Chebyshev series in sqrt(cos (1 + a) / (cos + a)) and a."""
-    t = _sqrt(cos * (1 + roughness) / (cos + roughness))
+    t = safe_sqrt(cos * (1 + roughness) / (cos + roughness))
     table = as_float(_loss_table()[0])
     in_t, in_a = _chebyshev(2 * t - 1, _DEGREE[0]), _chebyshev(2 * roughness - 1, _DEGREE[1])
     series = jnp.sum(in_t * jnp.tensordot(table, in_a, 1), axis=0)
@@ -238,7 +227,7 @@ def _loss_table() -> tuple[np.ndarray, np.ndarray]:
     cheb = np.polynomial.chebyshev
     to_t, to_a = (np.linalg.inv(cheb.chebvander(2 * x - 1, len(x) - 1)) for x in (t, a))
     table = to_t @ loss @ to_a.T
-    mu, weight = _gauss_legendre(64)
+    mu, weight = gauss_legendre(64)
     s = np.sqrt(mu[:, None] * (1 + a) / (mu[:, None] + a))
     mean = 2 * np.sum((weight * mu)[:, None] * cheb.chebval2d(2 * s - 1, 2 * a[None] - 1 + 0 * s, table), axis=0)
     return table, to_a @ mean
@@ -249,7 +238,7 @@ def _single_scattering(cos: np.ndarray, roughness: np.ndarray) -> np.ndarray:
 
     The cap is cut where reflection dips below the horizon, so that Gauss-Legendre sees a smooth integrand.
     """
-    point, weight = _gauss_legendre(_FINE)
+    point, weight = gauss_legendre(_FINE)
     mu, a = cos[:, None, None], roughness[:, None, None]
     sine = np.sqrt(1 - mu * mu)
     long = np.sqrt(mu**2 + (a * sine) ** 2)
@@ -277,17 +266,10 @@ def _single_scattering(cos: np.ndarray, roughness: np.ndarray) -> np.ndarray:
 @functools.cache
 def _facet_points() -> tuple[np.ndarray, np.ndarray]:
     """Quadrature over visible facets: (u, angle / pi) [point, 2] and weights [point]."""
-    u, weight = _gauss_legendre(_COARSE)
+    u, weight = gauss_legendre(_COARSE)
     turn = (np.arange(_COARSE) + 0.5) / _COARSE  # midpoints: spectral for an even periodic function
     pairs = np.stack(np.meshgrid(u, turn, indexing="ij"), axis=-1).reshape(-1, 2)
     return pairs, np.repeat(weight / _COARSE, _COARSE)
-
-
-@functools.cache
-def _gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on [0, 1]."""
-    node, weight = np.polynomial.legendre.leggauss(points)
-    return (node + 1) / 2, weight / 2
 
 
 def _chebyshev_points(count: int) -> np.ndarray:

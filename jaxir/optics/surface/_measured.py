@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, fraction, non_negative
-from jaxir._math import dot
+from jaxir._fields import quantity
+from jaxir._math import dot, gauss_legendre, safe_sqrt
 from jaxir.optics.surface._brdf import AbstractBrdf, cosine_density, cosine_direction, facing
 
 
@@ -30,7 +31,7 @@ class BrdfTable(AbstractBrdf):
     Differentiable in `value`, and in directions between the table's points.
     """
 
-    value: Float[Array, "..."]
+    value: Float[Array, "..."] = quantity("sr-1", None, non_negative)
 
     def __init__(self, value: Any):
         """Convert and symmetrise.
@@ -54,6 +55,11 @@ class BrdfTable(AbstractBrdf):
                 "as many theta_i as theta_o and at least 2 points an angle"
             )
         self.value = (array + jnp.swapaxes(array, 1, 2)) / 2
+
+    @property
+    def diffuse(self) -> bool:
+        """See `AbstractBrdf.diffuse`."""
+        return False
 
     def eval(
         self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
@@ -79,18 +85,17 @@ class BrdfTable(AbstractBrdf):
         """See `AbstractBrdf.pdf`."""
         return cosine_density(omega_i, facing(omega_o, normal))
 
-    def reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.reflectance`."""
+    def directional_reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.directional_reflectance`."""
         return _between(self._albedo(), _angle_from_normal(cos_o))
 
-    def emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.emissivity`."""
-        return 1 - self.reflectance(cos_o)
+    def directional_emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.directional_emissivity`."""
+        return 1 - self.directional_reflectance(cos_o)
 
-    def checks(self) -> list[Check]:
-        """Values are not negative, and no direction reflects more than it gets."""
-        albedo = self._albedo()
-        return [non_negative("BrdfTable.value", self.value), fraction("reflectance of BrdfTable", albedo)]
+    def relations(self) -> list[Check]:
+        """No direction reflects more than it gets."""
+        return [fraction("reflectance of BrdfTable", self._albedo())]
 
     def _albedo(self) -> Float[Array, "*face theta node"]:
         """Reflectance at the table's theta_o."""
@@ -109,7 +114,7 @@ def _between(table: Float[Array, "point *rest"], position: Float[Array, ""]) -> 
 
 def _angle_from_normal(cos: Float[Array, ""]) -> Float[Array, ""]:
     """theta / (pi / 2) in [0, 1] with a finite derivative at the normal."""
-    return _angle(cos, _sqrt(1 - cos * cos)) / (jnp.pi / 2)
+    return _angle(cos, safe_sqrt(1 - cos * cos)) / (jnp.pi / 2)
 
 
 def _angle(along: Float[Array, ""], across: Float[Array, ""]) -> Float[Array, ""]:
@@ -123,11 +128,6 @@ def _azimuth(a: Float[Array, " 3"], b: Float[Array, " 3"], up: Float[Array, " 3"
     return _angle(dot(a, b), jnp.abs(dot(jnp.cross(a, b), up)))
 
 
-def _sqrt(value: Array) -> Array:
-    """Square root with a derivative of 0 at 0."""
-    return jnp.where(value > 0, jnp.sqrt(jnp.where(value > 0, value, 1)), 0)
-
-
 def _trapezoid(points: int) -> np.ndarray:
     """Weights of the mean over [0, 1]."""
     weight = np.full(points, 1 / (points - 1))
@@ -138,12 +138,11 @@ def _trapezoid(points: int) -> np.ndarray:
 def _hat_weights(points: int) -> np.ndarray:
     """Integrals of piecewise linear hats times cos theta sin theta over [0, pi / 2]."""
     theta = np.linspace(0, np.pi / 2, points)
-    node, weight = np.polynomial.legendre.leggauss(12)
+    part, weight = gauss_legendre(12)
     result = np.zeros(points)
     for k in range(points - 1):
         step = theta[k + 1] - theta[k]
-        part = (node + 1) / 2
-        density = np.sin(2 * (theta[k] + step * part)) / 2 * weight / 2 * step
+        density = np.sin(2 * (theta[k] + step * part)) / 2 * weight * step
         result[k] += np.sum(density * (1 - part))
         result[k + 1] += np.sum(density * part)
     return result

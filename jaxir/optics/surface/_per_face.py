@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxir._arrays import Check
 from jaxir.optics.surface._brdf import AbstractBrdf
 
 
@@ -55,6 +54,11 @@ class BrdfPerFace(AbstractBrdf):
         self.kind = jnp.asarray(index, jnp.int32)
         self.shape()
 
+    @property
+    def diffuse(self) -> bool:
+        """See `AbstractBrdf.diffuse`: whether every kind is."""
+        return all(brdf.diffuse for brdf in self.kinds)
+
     def eval(
         self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
     ) -> Float[Array, " node"]:
@@ -73,17 +77,13 @@ class BrdfPerFace(AbstractBrdf):
         """See `AbstractBrdf.pdf`."""
         return self._own(lambda brdf: brdf.pdf(omega_i, omega_o, normal))
 
-    def reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.reflectance`."""
-        return self._own(lambda brdf: brdf.reflectance(cos_o))
+    def directional_reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.directional_reflectance`."""
+        return self._own(lambda brdf: brdf.directional_reflectance(cos_o))
 
-    def emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.emissivity`."""
-        return self._own(lambda brdf: brdf.emissivity(cos_o))
-
-    def checks(self) -> list[Check]:
-        """The checks of every kind."""
-        return [check for brdf in self.kinds for check in brdf.checks()]
+    def directional_emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.directional_emissivity`."""
+        return self._own(lambda brdf: brdf.directional_emissivity(cos_o))
 
     def _own(self, of: Callable[[AbstractBrdf], Array]) -> Array:
         """The value of this hit's kind."""

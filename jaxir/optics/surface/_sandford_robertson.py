@@ -6,15 +6,19 @@ Discrimination (1985): a diffuse part, an emissivity that falls towards grazing,
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, fraction
-from jaxir._math import dot, frame_around
-from jaxir.optics.surface._brdf import AbstractBrdf, as_parameter, cosine_density, cosine_direction, facing
+from jaxir._math import dot, frame_around, gauss_legendre
+from jaxir.optics.surface._brdf import (
+    AbstractBrdf,
+    cosine_density,
+    cosine_direction,
+    facing,
+    parameter,
+    positive_fraction,
+)
 
 _POINTS = 24
 _WIDE = 0.7  # width beyond which the lobe is integrated by quadrature, because its closed form cancels
@@ -36,7 +40,7 @@ class SandfordRobertson(AbstractBrdf):
     in which the surface radiates, for which Kirchhoff's law must hold.
 
     Attributes:
-        hemispherical_emissivity: E [face | 1, node | 1].
+        emissivity: E, hemispherical [face | 1, node | 1].
         diffuse_reflectance: D, hemispherical [face | 1, node | 1].
         lobe_width: e in (0, 1]; the lobe's half width at half maximum is about 1.3 e [rad] [face | 1, node | 1].
         grazing: b in [0, 1]; 0 makes the emissivity the same in every direction [face | 1, node | 1].
@@ -44,18 +48,15 @@ class SandfordRobertson(AbstractBrdf):
     Differentiable in all four.
     """
 
-    hemispherical_emissivity: Float[Array, "..."]
-    diffuse_reflectance: Float[Array, "..."]
-    lobe_width: Float[Array, "..."]
-    grazing: Float[Array, "..."]
+    emissivity: Float[Array, "face node"] = parameter(fraction)
+    diffuse_reflectance: Float[Array, "face node"] = parameter(fraction)
+    lobe_width: Float[Array, "face node"] = parameter(positive_fraction)
+    grazing: Float[Array, "face node"] = parameter(fraction)
 
-    def __init__(self, emissivity: Any, diffuse_reflectance: Any, lobe_width: Any, grazing: Any):
-        """Convert; each is a number, [face] or [face, node]."""
-        self.hemispherical_emissivity = as_parameter(emissivity, "SandfordRobertson.emissivity")
-        self.diffuse_reflectance = as_parameter(diffuse_reflectance, "SandfordRobertson.diffuse_reflectance")
-        self.lobe_width = as_parameter(lobe_width, "SandfordRobertson.lobe_width")
-        self.grazing = as_parameter(grazing, "SandfordRobertson.grazing")
-        self.shape()
+    @property
+    def diffuse(self) -> bool:
+        """See `AbstractBrdf.diffuse`."""
+        return False
 
     def eval(
         self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
@@ -98,39 +99,29 @@ class SandfordRobertson(AbstractBrdf):
         lobe = jnp.where(dot(omega_i, up) > 0, lobe * width**2 / jnp.pi, 0)
         return share * lobe + (1 - share) * cosine_density(omega_i, up)
 
-    def reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.reflectance`; 1 - E g / G."""
-        return 1 - self.emissivity(cos_o)
+    def directional_reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.directional_reflectance`; 1 - E g / G."""
+        return 1 - self.directional_emissivity(cos_o)
 
-    def emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.emissivity`; E g / G."""
-        return self.hemispherical_emissivity * _fall(cos_o, self.grazing)
+    def directional_emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
+        """See `AbstractBrdf.directional_emissivity`; E g / G."""
+        return self.emissivity * _fall(cos_o, self.grazing)
 
-    def checks(self) -> list[Check]:
-        """Fractions lie in [0, 1] and no direction reflects less than nothing."""
-        taken = (self.hemispherical_emissivity + self.diffuse_reflectance) * _fall(as_float(1.0), self.grazing)
-        name = "SandfordRobertson."
+    def relations(self) -> list[Check]:
+        """No direction reflects less than nothing."""
+        taken = (self.emissivity + self.diffuse_reflectance) * _fall(as_float(1.0), self.grazing)
         return [
-            fraction(name + "emissivity", self.hemispherical_emissivity),
-            fraction(name + "diffuse_reflectance", self.diffuse_reflectance),
-            Check(
-                name + "lobe_width",
-                self.lobe_width,
-                (self.lobe_width > 0) & (self.lobe_width <= 1),
-                "values in (0, 1]",
-            ),
-            fraction(name + "grazing", self.grazing),
             Check(
                 "(emissivity + diffuse_reflectance) * 2 / G(grazing) of SandfordRobertson",
                 taken,
                 taken <= 1 + 8 * jnp.finfo(taken.dtype).eps,
                 "at most 1 (a lobe that reflects at least nothing at normal incidence)",
-            ),
+            )
         ]
 
     def _specular(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
         """S, the part of reflectance in the lobe."""
-        taken = self.hemispherical_emissivity + self.diffuse_reflectance
+        taken = self.emissivity + self.diffuse_reflectance
         return jnp.maximum(1 - taken * _fall(cos_o, self.grazing), 0)
 
     def _share(self, cos_o: Float[Array, ""]) -> Float[Array, ""]:
@@ -156,7 +147,7 @@ def _total(b2: Float[Array, "*leaf"]) -> Float[Array, "*leaf"]:
     r = jnp.where(narrow, b2, 0)
     logarithm = jnp.log(jnp.where(r > 0, r, 1))
     closed = 2 / (1 - r) * (1 + r * logarithm / (1 - r))
-    x, weight = (as_float(a).reshape((-1,) + (1,) * b2.ndim) for a in _gauss_legendre())
+    x, weight = (as_float(a).reshape((-1,) + (1,) * b2.ndim) for a in gauss_legendre(_POINTS))
     wide = jnp.where(narrow, 1, b2)[None]
     return jnp.where(narrow, closed, 2 * jnp.sum(weight * x / (wide + (1 - wide) * x), axis=0))
 
@@ -192,7 +183,7 @@ def _norm(cos: Float[Array, ""], width: Float[Array, " leaf"]) -> Float[Array, "
     root = jnp.sqrt(4 * e2 + (b * cos) ** 2)
     logarithm = jnp.log((root + a * cos) / (2 * e2 * (1 + cos)))
     closed = (a * (b * cos + root) - 4 * e2) / (8 * e2 * b * b) - cos * logarithm / (2 * b * b)
-    c, weight = (as_float(x)[:, None] for x in _gauss_legendre())
+    c, weight = (as_float(x)[:, None] for x in gauss_legendre(_POINTS))
     e2 = (jnp.where(narrow, 1, width) ** 2)[None]
     a, b = 1 + e2, 1 - e2
     # Q as a sum of squares: (B c - A mu)^2 + 4 e^2 (1 - mu^2)
@@ -203,9 +194,3 @@ def _norm(cos: Float[Array, ""], width: Float[Array, " leaf"]) -> Float[Array, "
 def _mean_width(width: Float[Array, " leaf"]) -> Float[Array, ""]:
     """One width for all nodes to sample by; the widest, so that weights stay bounded."""
     return jnp.max(width)
-
-
-def _gauss_legendre() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on [0, 1]."""
-    node, weight = np.polynomial.legendre.leggauss(_POINTS)
-    return (node + 1) / 2, weight / 2

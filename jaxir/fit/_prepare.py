@@ -1,0 +1,75 @@
+"""A fit is prepared: its arguments are checked and its rays traced."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from jaxir._arrays import as_float, enforce
+from jaxir.fit._measurement import Measurement
+from jaxir.fit._observation import Observation, observe
+from jaxir.fit._parameter import AbstractParameter, Coordinates
+from jaxir.fit._prior import AbstractPrior
+from jaxir.fit._problem import Problem
+from jaxir.fit._surrogate import Surrogate, thinned
+from jaxir.scene import Scene
+
+
+def prepare(
+    scene: Scene,
+    parameters: Sequence[AbstractParameter],
+    measurements: Sequence[Measurement],
+    *,
+    priors: Mapping[str, AbstractPrior] | None = None,
+    robust: float = np.inf,
+    key: Key[Array, ""] | None = None,
+) -> Problem:
+    """Check a fit and trace its rays; arguments and errors as `fit`. Solve it as often as values change."""
+    if not measurements:
+        raise ValueError("measurements: got none, expected at least one")
+    if not robust > 0:
+        raise ValueError(f"robust: got {robust}, expected a residual > 0 in standard deviations")
+    scene = enforce(scene, [*scene.checks(), *(c for m in measurements for c in m.checks())])
+    coordinates = Coordinates(parameters, scene)
+    names = [p.name for p in coordinates.parameters]
+    given = priors or {}
+    for name in given:
+        if name not in names:
+            raise ValueError(f"priors: got {name!r}, expected names among {names}")
+    known = tuple(given.get(name) for name in names)
+    base = jax.random.key(0) if key is None else key
+    observed, surrogate = _observed(scene, coordinates, measurements, base)
+    problem = Problem(coordinates, observed, known, as_float(robust), base, surrogate)
+    assert problem.data  # counts the priors' residuals, which raises for one that does not suit its parameter
+    return problem
+
+
+def retraced(problem: Problem, scene: Scene) -> Problem:
+    """The same problem with the rays traced anew in another scene, with the same random numbers."""
+    coordinates, key = problem.coordinates, problem.key
+    observed, surrogate = _observed(scene, coordinates, [o.measurement for o in problem.observations], key)
+    return Problem(coordinates, observed, problem.priors, problem.robust, key, surrogate)
+
+
+def _observed(
+    scene: Scene, coordinates: Coordinates, measurements: Sequence[Measurement], key: Array
+) -> tuple[tuple[Observation, ...], Surrogate | None]:
+    for_all, for_fewer = jax.random.split(key)
+    moving = _outline_moves(coordinates)
+    observed = tuple(observe(scene, m, jax.random.fold_in(for_all, i), moving) for i, m in enumerate(measurements))
+    return observed, thinned(observed, for_fewer)
+
+
+def _outline_moves(coordinates: Coordinates) -> bool:
+    """Whether a parameter moves the outline of a plume."""
+    if not coordinates.start.plumes:
+        return False
+
+    def outline(z: Array) -> Array:
+        return jnp.concatenate([plume.extent() for plume in coordinates.scene(coordinates.values(z)).plumes])
+
+    return bool((jax.jacfwd(outline)(coordinates.origin()) != 0).any())

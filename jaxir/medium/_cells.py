@@ -1,0 +1,127 @@
+"""A medium of homogeneous cells."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxir._arrays import as_float
+from jaxir.geometry import Crossings, Grid, Rays, crossings
+from jaxir.medium._crossing_sum import crossing_sum
+from jaxir.medium._march import march, transmittance
+from jaxir.medium._medium import AbstractMedium, Capsules, scattered_at
+from jaxir.optics import phi1
+from jaxir.optics.particle import AbstractPhase
+
+BLOCKS = 24  # most capsules along each axis
+BESIDE = 1e-3  # cells by which a scattered point may lie beside the grid by rounding
+
+
+class CellMedium(AbstractMedium):
+    """Cells of a grid, each homogeneous.
+
+    Attributes:
+        grid: the cells.
+        extinction: [nx, ny, nz, node] [m-1].
+        emission: absorption times blackbody radiance [nx, ny, nz, node] [W m-3 sr-1].
+        scattering_coefficient: [nx, ny, nz, node] [m-1]; None without particles.
+        phase: phase function of the particles; None without.
+    """
+
+    grid: Grid
+    extinction: Float[Array, "nx ny nz node"]
+    emission: Float[Array, "nx ny nz node"]
+    scattering_coefficient: Float[Array, "nx ny nz node"] | None
+    phase: AbstractPhase | None
+
+    def radiance(
+        self,
+        rays: Rays,
+        t_max: Float[Array, " ray"],
+        behind: Float[Array, "ray node"],
+        route: Crossings | None = None,
+    ) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.radiance`: the exact sum over the cells crossed.
+
+        With a route differentiable to any order, without it once; in all but the geometry.
+        """
+        if route is None:
+            return march(self.grid, self.extinction, self.emission, rays, t_max, behind)
+        cells = (-1, self.extinction.shape[-1])
+        return crossing_sum(route, self.extinction.reshape(cells), self.emission.reshape(cells), behind)
+
+    def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.transmittance`."""
+        return transmittance(self.grid, self.extinction, rays, t_max)
+
+    def scattering(self, point: Float[Array, "ray 3"], cosine: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.scattering`; beside the grid by rounding, the nearest cell's, and 0 further out."""
+        assert self.scattering_coefficient is not None and self.phase is not None
+        held, inside = self._cell(point, BESIDE)
+        return scattered_at(jnp.where(inside, self.scattering_coefficient[held], 0), self.phase, cosine)
+
+    def cuts(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
+        """See `AbstractMedium.cuts`: where rays pass from cell to cell."""
+        return cell_cuts(self.grid, rays, t_max)
+
+    def coefficients(self, point: Float[Array, "ray 3"]) -> tuple[Float[Array, "ray node"], Float[Array, "ray node"]]:
+        """See `AbstractMedium.coefficients`."""
+        held, inside = self._cell(point, 0.0)
+        return jnp.where(inside, self.extinction[held], 0), jnp.where(inside, self.emission[held], 0)
+
+    def capsules(self) -> Capsules:
+        """See `AbstractMedium.capsules`: blocks of cells as balls."""
+        grid, shape = self.grid, self.grid.shape
+        size = grid.spacing * as_float(np.array(shape))
+        emitted = self.emission * phi1(self.extinction * jnp.min(size)) * jnp.prod(grid.spacing)
+        step = tuple(-(-count // BLOCKS) for count in shape)
+        blocks = tuple(-(-count // each) for count, each in zip(shape, step, strict=True))
+        pads = [(0, b * s - n) for b, s, n in zip(blocks, step, shape, strict=True)]
+        padded = jnp.pad(emitted, [*pads, (0, 0)])
+        whole = padded.reshape(blocks[0], step[0], blocks[1], step[1], blocks[2], step[2], -1).sum(axis=(1, 3, 5))
+        place = jnp.stack(jnp.meshgrid(*(jnp.arange(b) for b in blocks), indexing="ij"), axis=-1).reshape(-1, 3)
+        block = grid.spacing * as_float(np.array(step))
+        centre = grid.origin[None] + (as_float(place) + 0.5) * block[None]
+        radius = jnp.full(centre.shape[:1], jnp.max(block) / 2)
+        return Capsules(jnp.repeat(centre[:, None], 2, axis=1), radius, whole.reshape(centre.shape[0], -1))
+
+    @property
+    def scatters(self) -> bool:
+        """See `AbstractMedium.scatters`."""
+        return self.phase is not None
+
+    @property
+    def beam_points(self) -> tuple[Float[Array, "point 3"], Bool[Array, " point"]]:
+        """See `AbstractMedium.beam_points`: the centres of all cells, those with particles."""
+        assert self.scattering_coefficient is not None
+        return self.grid.centres().reshape(-1, 3), jnp.any(self.scattering_coefficient > 0, axis=-1).reshape(-1)
+
+    def in_scattered(
+        self,
+        irradiance: Float[Array, "point node"],
+        cosine: Float[Array, " ray"],
+        rays: Rays,
+        t_max: Float[Array, " ray"],
+    ) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.in_scattered`; every cell is lit as its centre is."""
+        assert self.scattering_coefficient is not None and self.phase is not None
+        dark = jnp.zeros((rays.count, self.extinction.shape[-1]), self.extinction.dtype)
+        source = self.scattering_coefficient * irradiance.reshape(self.scattering_coefficient.shape)
+        sent = march(self.grid, self.extinction, source, rays, t_max, dark)
+        return sent * jax.vmap(self.phase.eval)(cosine)
+
+    def _cell(self, point: Float[Array, "ray 3"], margin: float) -> tuple[tuple[Array, ...], Bool[Array, "ray 1"]]:
+        """Indices of the cells of points, and whether these lie inside the grid or within `margin` cells of it."""
+        place, count = (point - self.grid.origin[None]) / self.grid.spacing[None], np.array(self.grid.shape)
+        inside = ((place >= -margin) & (place <= as_float(count)[None] + margin)).all(axis=1)[:, None]
+        cell = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, jnp.asarray(count - 1, jnp.int32)[None])
+        return (cell[:, 0], cell[:, 1], cell[:, 2]), inside
+
+
+def cell_cuts(grid: Grid, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
+    """Distances at which rays pass from cell to cell, rising [ray, cut] [m]; equal on a miss."""
+    length = crossings(grid, rays, t_max).length
+    begin = jax.vmap(grid.entry)(rays.origin, rays.direction)[:, None]
+    return jnp.concatenate([begin, begin + jnp.cumsum(length, axis=1)], axis=1)

@@ -1,0 +1,135 @@
+"""What a plume does to rays on the spectral nodes: the interface, and the optics of gas with particles.
+
+With particles, extinction = absorption of the gas + extinction of the particles, scattering = albedo * extinction of
+the particles, and gas and particles emit at one temperature: emission = absorption of both * blackbody radiance.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxir.geometry import Rays
+from jaxir.optics.gas import AbstractGas
+from jaxir.optics.particle import AbstractParticles, AbstractPhase
+from jaxir.optics.spectrum import Nodes, band_radiance
+
+
+class Capsules(NamedTuple):
+    """Rough pieces of a medium: where it is, and how bright.
+
+    Attributes:
+        ends: of their axes [capsule, 2, 3] [m].
+        radius: [capsule] [m].
+        intensity: [capsule, node] [W sr-1].
+    """
+
+    ends: Float[Array, "capsule 2 3"]
+    radius: Float[Array, " capsule"]
+    intensity: Float[Array, "capsule node"]
+
+
+class AbstractMedium(eqx.Module):
+    """A plume on the spectral nodes."""
+
+    @abc.abstractmethod
+    def radiance(
+        self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
+    ) -> Float[Array, "ray node"]:
+        """Radiance at the rays' origins of the medium in front of `behind`.
+
+        Args:
+            rays: the rays.
+            t_max: where they end [ray] [m]; inf allowed.
+            behind: radiance that enters them there [ray, node] [W m-2 sr-1].
+            route: what `AbstractPlume.route` stored of the same rays; None to walk them.
+
+        Returns:
+            Radiance [ray, node] [W m-2 sr-1].
+        """
+
+    @abc.abstractmethod
+    def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+        """Transmittance [ray, node] along rays up to `t_max` [ray] [m]; inf allowed."""
+
+    @abc.abstractmethod
+    def scattering(self, point: Float[Array, "ray 3"], cosine: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+        """Scattering coefficient times phase function [ray, node] [m-1 sr-1] at points [ray, 3] [m]."""
+
+    @abc.abstractmethod
+    def cuts(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
+        """Distances, rising, between which the coefficients are smooth along rays [ray, cut] [m]; equal on a miss."""
+
+    @abc.abstractmethod
+    def coefficients(self, point: Float[Array, "ray 3"]) -> tuple[Float[Array, "ray node"], Float[Array, "ray node"]]:
+        """Extinction [ray, node] [m-1] and emission [ray, node] [W m-3 sr-1] at points [ray, 3] [m]; 0 outside."""
+
+    @abc.abstractmethod
+    def capsules(self) -> Capsules:
+        """Rough pieces that tell where it shines, each dimmed by itself."""
+
+    @property
+    @abc.abstractmethod
+    def scatters(self) -> bool:
+        """Whether there are particles in it."""
+
+    @property
+    @abc.abstractmethod
+    def beam_points(self) -> tuple[Float[Array, "point 3"], Bool[Array, " point"]]:
+        """Where `in_scattered` asks for the irradiance of a beam [point, 3] [m], and where that matters [point]."""
+
+    @abc.abstractmethod
+    def in_scattered(
+        self,
+        irradiance: Float[Array, "point node"],
+        cosine: Float[Array, " ray"],
+        rays: Rays,
+        t_max: Float[Array, " ray"],
+    ) -> Float[Array, "ray node"]:
+        """Light of a beam scattered once towards the rays' origins [ray, node] [W m-2 sr-1], summed without samples.
+
+        Media of plumes with `AbstractPlume.sums_beams` alone are asked for it.
+
+        integral exp(-depth) scattering phase(cosine) irradiance dt
+
+        Args:
+            irradiance: across the beam at `beam_points` [point, node] [W m-2].
+            cosine: between the beam and the light sent back along each ray [ray].
+            rays: the rays.
+            t_max: where they end [ray] [m].
+        """
+
+
+class MediumOptics(NamedTuple):
+    """Gas and particles together, each field [*cell, node]; `scattering` and `phase` are None without particles."""
+
+    extinction: Float[Array, "*cell node"]
+    emission: Float[Array, "*cell node"]
+    scattering: Float[Array, "*cell node"] | None
+    phase: AbstractPhase | None
+
+
+def medium_optics(
+    gas: AbstractGas, particles: AbstractParticles | None, nodes: Nodes, temperature: Float[Array, "*cell"]
+) -> MediumOptics:
+    """Optics of gas with particles at `temperature` [*cell] [K]. Differentiable in all but the nodes."""
+    absorption, source = gas.absorption(nodes, temperature), band_radiance(temperature, nodes)
+    if particles is None:
+        return MediumOptics(absorption, absorption * source, None, None)
+    optics = particles.optics(nodes)
+    extinction = jnp.broadcast_to(optics.extinction, absorption.shape)
+    albedo, absorbed = (share.reshape((1,) * temperature.ndim + (-1,)) for share in (optics.albedo, optics.absorbed))
+    emission = (absorption + absorbed * extinction) * source
+    return MediumOptics(absorption + extinction, emission, albedo * extinction, optics.phase)
+
+
+def scattered_at(
+    scattering: Float[Array, "ray node"], phase: AbstractPhase, cosine: Float[Array, " ray"]
+) -> Float[Array, "ray node"]:
+    """Scattering coefficient times phase function [ray, node] [m-1 sr-1], one direction each."""
+    return scattering * jax.vmap(phase.eval)(cosine)

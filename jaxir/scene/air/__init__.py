@@ -1,0 +1,8 @@
+"""The air between target and sensor."""
+
+from jaxir.scene.air._air import AbstractAtmosphere as AbstractAtmosphere
+from jaxir.scene.air._air import AirPath as AirPath
+from jaxir.scene.air._fixed import FixedPath as FixedPath
+from jaxir.scene.air._standard import StandardAtmosphere as StandardAtmosphere
+from jaxir.scene.air._table import TableAtmosphere as TableAtmosphere
+from jaxir.scene.air._uniform import UniformAtmosphere as UniformAtmosphere

@@ -1,0 +1,31 @@
+"""The path between target and sensor: L at the pupil = transmittance * L at the target + path radiance (2)."""
+
+from __future__ import annotations
+
+import abc
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from jaxir._fields import Physical
+from jaxir.optics.spectrum import Nodes
+
+
+class AirPath(eqx.Module):
+    """What a path does to light on spectral nodes.
+
+    Attributes:
+        transmittance: [node].
+        path_radiance: emitted and scattered into the path [node] [W m-2 sr-1].
+    """
+
+    transmittance: Float[Array, " node"]
+    path_radiance: Float[Array, " node"]
+
+
+class AbstractAtmosphere(Physical):
+    """One path through the atmosphere, the same for every pixel."""
+
+    @abc.abstractmethod
+    def on(self, nodes: Nodes) -> AirPath:
+        """Transmittance and radiance of the path on `nodes`. Differentiable in the fields."""

@@ -1,0 +1,31 @@
+"""A path whose transmittance and radiance are given."""
+
+from __future__ import annotations
+
+from jaxtyping import Array, Float
+
+from jaxir._arrays import fraction
+from jaxir._fields import spectral
+from jaxir.optics.spectrum import Nodes, over_nodes
+from jaxir.scene.air._air import AbstractAtmosphere, AirPath
+
+
+class FixedPath(AbstractAtmosphere):
+    """A path whose transmittance and radiance are given.
+
+    Attributes:
+        transmittance: [node or 1].
+        path_radiance: [node or 1] [W m-2 sr-1].
+
+    Differentiable in both.
+    """
+
+    transmittance: Float[Array, " node"] = spectral("1", fraction)
+    path_radiance: Float[Array, " node"] = spectral("W m-2 sr-1", default=0.0)
+
+    def on(self, nodes: Nodes) -> AirPath:
+        """See `AbstractAtmosphere.on`."""
+        return AirPath(
+            over_nodes("FixedPath.transmittance", self.transmittance, nodes),
+            over_nodes("FixedPath.path_radiance", self.path_radiance, nodes),
+        )

@@ -1,0 +1,82 @@
+"""The standard atmosphere."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, positive
+from jaxir._fields import quantity
+from jaxir.optics._tables import COLD_PATH_EDGES
+from jaxir.optics.air import (
+    Profile,
+    altitude_along,
+    path_air,
+    path_emission,
+    path_transmittance,
+    us_standard_1976,
+)
+from jaxir.optics.spectrum import Nodes, bins_inside
+from jaxir.scene.air._air import AbstractAtmosphere, AirPath
+
+
+def _or_us_standard(profile: Profile | None) -> Profile:
+    return us_standard_1976() if profile is None else profile
+
+
+class StandardAtmosphere(AbstractAtmosphere):
+    """Molecular absorption and emission of a straight path, from the embedded fit to LOWTRAN 7 (no haze, no clouds).
+
+    The path runs over the round earth, slant or level; refraction is left out. Equations and accuracy are those of
+    `jaxir.optics.air`, made for altitudes up to 12 km and paths up to 60 km through the US Standard Atmosphere.
+    Scattered sunlight is not part of the path radiance. LOWTRAN 7 gives its lowest kilometre the mean temperature of
+    the layer; here each segment has its own, so a sensor on the ground sees 288 K instead of 285 K where the air is
+    opaque.
+
+    Use it with `resolved_nodes`: the transmittance of a node is the mean over the node's bin, and a mean over a whole
+    band is the wrong factor for anything whose spectrum follows that of the air (for a 360 K surface seen from the
+    ground the SWIR transmittance is .15, its band mean .50). It cannot be right for hot CO2 behind cold CO2, either,
+    whose lines coincide: product and truth differ by +3 % (1500 K, thick) to +37 % (1000 K, dilute) at 4.3 um. With
+    lists of lines `jaxir.io.spectra.slot_atmosphere` averages the path over the slots of a node's quantile instead.
+
+    Attributes:
+        sensor_altitude: [m].
+        target_altitude: [m].
+        distance: from sensor to target [m]; see `jaxir.optics.air.slant_range`.
+        profile: state of the air over altitude; None for the US Standard Atmosphere 1976.
+
+    Differentiable in every field but `profile.altitude`.
+    """
+
+    sensor_altitude: Float[Array, ""] = quantity("m")
+    target_altitude: Float[Array, ""] = quantity("m")
+    distance: Float[Array, ""] = quantity("m", within=positive)
+    profile: Profile = eqx.field(converter=_or_us_standard, default=None)
+
+    def on(self, nodes: Nodes) -> AirPath:
+        """See `AbstractAtmosphere.on`: the radiance is the air's own emission.
+
+        Raises:
+            ValueError: a bin outside 800-10000 cm-1 (1-12.5 um); RuntimeError where bins are known only at run time.
+        """
+        nodes = bins_inside("StandardAtmosphere", nodes, as_float(COLD_PATH_EDGES[[0, -1]]))
+        air = path_air(self.profile, self.sensor_altitude, self.target_altitude, self.distance)
+        return AirPath(path_transmittance(air, nodes), path_emission(air, nodes))
+
+    def relations(self) -> list[Check]:
+        """The path is long enough for its two altitudes and stays within the profile."""
+        lowest, highest = self.profile.altitude[0], self.profile.altitude[-1]
+        share = as_float(jnp.linspace(0, 1, 33))
+        along = altitude_along(self.sensor_altitude, self.target_altitude, self.distance, share)
+        within = (along >= lowest - 1) & (along <= highest + 1)
+        rise = jnp.abs(self.target_altitude - self.sensor_altitude)
+        return [
+            Check(
+                "StandardAtmosphere.distance",
+                self.distance,
+                self.distance * (1 + 1e-5) >= rise,
+                "at least the difference of the altitudes",
+            ),
+            Check("StandardAtmosphere: altitude along the path", along, within, "altitudes inside the profile"),
+        ]

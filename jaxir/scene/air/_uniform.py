@@ -1,0 +1,35 @@
+"""Air that attenuates uniformly."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxir._arrays import non_negative, positive
+from jaxir._fields import quantity, spectral
+from jaxir.optics.spectrum import Nodes, band_radiance, over_nodes
+from jaxir.scene.air._air import AbstractAtmosphere, AirPath
+
+
+class UniformAtmosphere(AbstractAtmosphere):
+    """Air with one extinction coefficient along the path: transmittance = exp(-extinction * distance).
+
+    Attributes:
+        extinction: [node or 1] [m-1].
+        distance: [m].
+        temperature: of the air, which then emits (1 - transmittance) B(T) [K]; None adds no radiance.
+
+    Differentiable in every field.
+    """
+
+    extinction: Float[Array, " node"] = spectral("m-1")
+    distance: Float[Array, ""] = quantity("m", within=non_negative)
+    temperature: Float[Array, ""] | None = quantity("K", within=positive, default=None)
+
+    def on(self, nodes: Nodes) -> AirPath:
+        """See `AbstractAtmosphere.on`."""
+        depth = self.distance * over_nodes("UniformAtmosphere.extinction", self.extinction, nodes)
+        added = jnp.zeros_like(depth)
+        if self.temperature is not None:
+            added = -jnp.expm1(-depth) * band_radiance(self.temperature, nodes)
+        return AirPath(jnp.exp(-depth), added)

@@ -1,0 +1,229 @@
+"""A round turbulent jet of exhaust as a function of a few parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from jaxir._arrays import Check, as_float, positive
+from jaxir._fields import count, quantity
+from jaxir._math import frame_around
+from jaxir.geometry import Grid, Pieces, Rays, pdf_box
+from jaxir.medium import (
+    Distance,
+    JetMedium,
+    JetShape,
+    MediumOptics,
+    medium_optics,
+    meets_jet,
+    panel_edges,
+    tabulated_jet,
+)
+from jaxir.optics.gas import AbstractGas
+from jaxir.optics.particle import AbstractParticles
+from jaxir.optics.spectrum import Nodes
+from jaxir.scene.plume._grid import GridPlume
+from jaxir.scene.plume._plume import AbstractPlume, Proposal, sample_between
+
+SLABS, LEVELS = 10, 3  # pieces along the axis, and boxes within one another across it
+
+
+class JetPlume(AbstractPlume):
+    """A round turbulent jet in still air, self-similar, with a potential core.
+
+    At the distance z downstream of the nozzle and r from the axis the mole fraction of exhaust is
+
+        f = f_axis(z) (1 - eta^1.5),    eta = (r - r_core(z)) / (r_edge(z) - r_core(z)) in [0, 1],
+        f_axis = 1 up to the core's end z_core and z_core / z beyond,
+        r_core = (d / 2) max(1 - z / z_core, 0),    r_edge = d / 2 + spreading z,
+
+    and zero beyond r_edge, before the nozzle and after the jet's end. Temperature mixes like exhaust (turbulent Lewis
+    number 1, equal molar heat capacities): T = T_ambient + f (T_exit - T_ambient). The profile is that of excess
+    temperature in Abramovich, The Theory of Turbulent Jets (MIT Press 1963); the straight core and the decay as 1 / z
+    are those of Albertson, Dai, Jensen and Rouse, "Diffusion of submerged jets" (Trans. ASCE 115, 1950). Unlike
+    Abramovich, who gives the initial region a linear profile, one profile serves both regions, so that the field is
+    continuous. Round jets have cores of 4 to 6 diameters and an edge that spreads by 0.2 to 0.27 (both books). Shocks,
+    afterburning, buoyancy and a moving atmosphere are not in it.
+
+    Attributes:
+        nozzle: centre of the nozzle's exit [3] [m].
+        axis: direction in which exhaust flows [3]; any length but 0.
+        diameter: d of the nozzle [m].
+        exit_temperature: T_exit [K].
+        ambient_temperature: T_ambient [K].
+        gas: pure exhaust at exit temperature, the same everywhere; mixed with air by `AbstractGas.diluted`.
+        core_length: z_core / d.
+        spreading: slope of the edge.
+        length: where the jet ends [diameters].
+        panels: quadrature panels in each of the four pieces of a ray; `resolve_jet` chooses them for a tolerance.
+        particles: those in pure exhaust at exit temperature, the same everywhere; they follow the gas. None for none.
+
+    Differentiable in every field but `panels`, its place and shape included.
+    """
+
+    nozzle: Float[Array, " 3"] = quantity("m", (3,))
+    axis: Float[Array, " 3"] = quantity("1", (3,))
+    diameter: Float[Array, ""] = quantity("m", (), positive)
+    exit_temperature: Float[Array, ""] = quantity("K", (), positive)
+    ambient_temperature: Float[Array, ""] = quantity("K", (), positive)
+    gas: AbstractGas
+    core_length: Float[Array, ""] = quantity("1", (), positive, default=5.0, kw_only=True)
+    spreading: Float[Array, ""] = quantity("1", (), positive, default=0.22, kw_only=True)
+    length: Float[Array, ""] = quantity("1", (), positive, default=50.0, kw_only=True)
+    panels: int = count(default=4, kw_only=True)
+    particles: AbstractParticles | None = dataclasses.field(default=None, kw_only=True)
+
+    @property
+    def direction(self) -> Float[Array, " 3"]:
+        """`axis` with length 1."""
+        return self.axis * lax.rsqrt(jnp.sum(self.axis * self.axis))
+
+    @property
+    def shape(self) -> JetShape:
+        """Where its exhaust is."""
+        core_end, end = self.core_length * self.diameter, self.length * self.diameter
+        return JetShape(self.nozzle, self.direction, self.diameter, core_end, end, self.spreading, self.panels)
+
+    def temperature(self, fraction: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """Temperature of gas with a mixture fraction [*batch] [K]."""
+        return self.ambient_temperature + fraction * (self.exit_temperature - self.ambient_temperature)
+
+    def state(self, points: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Temperature [*batch] [K] and mixture fraction [*batch] at points [*batch, 3] [m].
+
+        Differentiable in the jet's fields and in `points`, almost everywhere.
+        """
+        fraction = self.shape.at(points)
+        return self.temperature(fraction), fraction
+
+    def mixture(self, fraction: Float[Array, "*cell"]) -> AbstractGas:
+        """The gas at mixture fractions [*cell], diluted by air and as dense as its temperature makes it."""
+        return self.gas.diluted(fraction, self.exit_temperature / self.temperature(fraction))
+
+    def suspension(self, fraction: Float[Array, "*cell"]) -> AbstractParticles | None:
+        """The particles at mixture fractions [*cell], diluted and as dense as the gas; None without."""
+        if self.particles is None:
+            return None
+        return self.particles.diluted(fraction * self.exit_temperature / self.temperature(fraction))
+
+    def with_panels(self, panels: int) -> JetPlume:
+        """The same jet, integrated with another number of panels."""
+        return dataclasses.replace(self, panels=panels)
+
+    def to_grid(self, grid: Grid) -> GridPlume:
+        """The same jet cell by cell, each cell with the state at its centre.
+
+        Differentiable in the jet's fields, almost everywhere.
+        """
+        temperature, fraction = self.state(grid.centres())
+        return GridPlume(grid, temperature, self.mixture(fraction), self.suspension(fraction))
+
+    def extent(self) -> Float[Array, "8 3"]:
+        """See `AbstractPlume.extent`: squares about its two ends."""
+        u, v, w = frame_around(self.direction)
+        end = self.shape.end
+        near, far = self.diameter / 2, self.shape.edge(end)
+        return jnp.stack(
+            [
+                self.nozzle + z * w + r * (a * u + b * v)
+                for z, r in ((jnp.zeros_like(near), near), (end, far))
+                for a in (-1, 1)
+                for b in (-1, 1)
+            ]
+        )
+
+    def medium(self, nodes: Nodes) -> JetMedium:
+        """See `AbstractPlume.medium`. Differentiable in the jet's fields."""
+
+        def optics(fraction: Array) -> MediumOptics:
+            return medium_optics(self.mixture(fraction), self.suspension(fraction), nodes, self.temperature(fraction))
+
+        return tabulated_jet(self.shape, optics, None if self.particles is None else self.particles.optics(nodes).phase)
+
+    def meets(self, rays: Rays, t_max: Float[Array, " ray"]) -> Bool[Array, " ray"]:
+        """See `AbstractPlume.meets`."""
+        return meets_jet(self.shape, rays, t_max)
+
+    def route(self, rays: Rays, t_max: Float[Array, " ray"]) -> None:
+        """See `AbstractPlume.route`: a jet moves with its parameters."""
+        return None
+
+    def cuts(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
+        """See `AbstractPlume.cuts`."""
+        return panel_edges(self.shape, rays, t_max)
+
+    def pieces(self, exponent: Float[Array, ""]) -> Pieces:
+        """See `AbstractPlume.pieces`: slabs along the axis, each of boxes whose densities add up to the emission."""
+        shape = self.shape
+        z = shape.stations(as_float(np.arange(2 * SLABS + 1) / (2 * SLABS)))  # slabs as long as they are wide, about
+        begin, middle, end = z[:-1:2], z[1::2], z[2::2]
+        level = as_float((np.arange(LEVELS) + 0.5) / LEVELS)
+        r = level[None] * shape.edge(middle)[:, None]
+        fraction = shape.mixture_fraction(jnp.broadcast_to(middle[:, None], r.shape), r * r)
+        temperature = self.temperature(fraction)
+        warmth = temperature / self.exit_temperature
+        emitted = fraction * (self.exit_temperature / temperature) * warmth**exponent
+        step = jnp.maximum(emitted - jnp.pad(emitted[:, 1:], ((0, 0), (0, 1))), 0)
+        width = as_float((np.arange(LEVELS) + 1) / LEVELS)[None] * shape.edge(end)[:, None]
+        along = jnp.broadcast_to((end - begin)[:, None] / 2, width.shape)
+        half = jnp.stack([width, width, along]).reshape(3, -1)
+        frame = frame_around(self.direction)
+        place = jnp.broadcast_to((begin + end)[:, None] / 2, width.shape).reshape(1, -1)
+        centre = (frame @ self.nozzle)[:, None] + jnp.pad(place, ((2, 0), (0, 0)))
+        return Pieces(frame, centre, half, step.reshape(-1) / pdf_box(half))
+
+    @property
+    def parametric(self) -> bool:
+        """See `AbstractPlume.parametric`."""
+        return True
+
+    @property
+    def scatters(self) -> bool:
+        """See `AbstractPlume.scatters`."""
+        return self.particles is not None
+
+    @property
+    def sums_beams(self) -> bool:
+        """See `AbstractPlume.sums_beams`."""
+        return False
+
+    def proposals(self, point: Float[Array, "ray 3"]) -> tuple[Proposal, ...]:
+        """See `AbstractPlume.proposals`."""
+        if self.particles is None:
+            return ()
+        extinction, phase = self.particles.proposal()
+        temperature, fraction = self.state(point)
+        return (Proposal(extinction * fraction * self.exit_temperature / temperature, phase),)
+
+    def sample_distance(
+        self, rays: Rays, t_max: Float[Array, " ray"], u: Float[Array, " ray"], forced: Bool[Array, " ray"]
+    ) -> Distance:
+        """See `AbstractPlume.sample_distance`."""
+        return sample_between(self, rays, t_max, u, forced)
+
+    def hottest(self) -> Float[Array, ""]:
+        """See `AbstractPlume.hottest`."""
+        return jnp.maximum(self.exit_temperature, self.ambient_temperature)
+
+    def described(self) -> str:
+        """See `AbstractPlume.described`."""
+        return "jet"
+
+    def outlines(self) -> list[np.ndarray]:
+        """See `AbstractPlume.outlines`: rings about the axis, and lines along the edge."""
+        nozzle, along = np.asarray(self.nozzle, np.float64), np.asarray(self.direction, np.float64)
+        side = np.linalg.svd(along[None])[2][1:]
+        turn = np.linspace(0, 2 * np.pi, 33)
+        around = np.cos(turn)[:, None] * side[0] + np.sin(turn)[:, None] * side[1]
+        radius, end, spread = float(self.diameter) / 2, float(self.shape.end), float(self.spreading)
+        rings = [nozzle + z * along + (radius + spread * z) * around for z in np.linspace(0, end, 6)]
+        return [*rings, *(np.stack([rings[0][k], rings[-1][k]]) for k in range(0, 32, 8))]
+
+    def relations(self) -> list[Check]:
+        """The axis has a direction."""
+        square = jnp.sum(self.axis * self.axis)
+        return [Check("JetPlume.axis: squared length", square, jnp.isfinite(square) & (square > 0), "a vector not 0")]

@@ -1,0 +1,255 @@
+"""Direct light by multiple importance sampling: one loop over all lights, at points of skin and at particles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxir._math import dot
+from jaxir.geometry import (
+    Hit,
+    Rays,
+    no_hit,
+)
+from jaxir.geometry.search import Mesh, any_hit, closest_hit, face_normal
+from jaxir.scene import Scene
+from jaxir.transport._lights import Drawn, Met, SampledLight
+from jaxir.transport._method import Method, concavity
+from jaxir.transport._paths import LightSamples
+
+
+def mis_weight(
+    count: int, pdf: Float[Array, "*batch"], other_count: int, other_pdf: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """Quadratic heuristic (9): (n p)^2 / ((n p)^2 + (n' p')^2) for one of n samples drawn with density p.
+
+    Veach and Guibas, "Optimally combining sampling techniques for Monte Carlo rendering" (SIGGRAPH 1995). The larger
+    of the two is divided out first, so neither square overflows.
+
+    Args:
+        count: n, samples of this way.
+        pdf: p, its density [sr-1].
+        other_count: n', samples of the other way.
+        other_pdf: p', the density the other way has for the same direction [sr-1].
+
+    Returns:
+        Weight in [0, 1]; 0 where both densities are 0.
+    """
+    mine, other = count * pdf, other_count * other_pdf
+    larger = jnp.maximum(mine, other)
+    scale = jnp.where(larger > 0, larger, 1)
+    a, b = (mine / scale) ** 2, (other / scale) ** 2
+    return jnp.where(larger > 0, a / jnp.where(larger > 0, a + b, 1), 0)
+
+
+# The loop -------------------------------------------------------------------------------------------------------------
+
+
+class Points(NamedTuple):
+    """Points from which lights are looked for, of skin or in free space.
+
+    Attributes:
+        point: [ray, 3] [m].
+        normal: [ray, 3]; for particles any.
+        face: of the skin, -1 in free space [ray].
+        active: whether a path touches there [ray].
+        above: whether directions below `normal` are of no use; static.
+    """
+
+    point: Float[Array, "ray 3"]
+    normal: Float[Array, "ray 3"]
+    face: Int[Array, " ray"]
+    active: Bool[Array, " ray"]
+    above: bool
+
+
+class Spread(NamedTuple):
+    """How points reflect or scatter: a direction from two uniform numbers [ray, 2], and the density of directions."""
+
+    sample: Callable[[Float[Array, "ray 2"]], Float[Array, "ray 3"]]
+    pdf: Callable[[Float[Array, "ray 3"]], Float[Array, " ray"]]
+
+
+class Onward(NamedTuple):
+    """The next segment: direction, 1 / density (0 where the path ends), and what it meets (t = 0 where it ends)."""
+
+    omega: Float[Array, "ray 3"]
+    inverse_pdf: Float[Array, " ray"]
+    hit: Hit
+
+
+def sample_direct(
+    scene: Scene,
+    method: Method,
+    lights: tuple[SampledLight, ...],
+    at: Points,
+    spread: Spread,
+    key: Key[Array, ""],
+    go_on: Bool[Array, " ray"] | None,
+) -> tuple[tuple[LightSamples, ...], Onward | None]:
+    """Sample lights from points, and the directions in which their paths go on.
+
+    The first direction drawn from the brdf or phase function is also that of the next segment: one ray finds lights
+    and skin.
+
+    Args:
+        scene: without derivatives.
+        method: resolved.
+        lights: of `lights_at_skin` or `lights_at_particles`.
+        at: the points.
+        spread: how they reflect or scatter.
+        key: random key.
+        go_on: whether paths go on [ray]; None where no path ever does.
+
+    Returns:
+        Samples of each light; the next segments, None where no path goes on.
+    """
+    count, own = method.counts if lights else (0, 0)
+    onward = max(own, 0 if go_on is None else 1)
+    rays = at.point.shape[0]
+    keys = jax.vmap(lambda k: jax.random.split(k, 1 + len(lights)))(jax.random.split(key, rays))  # [ray, decision]
+
+    def upward(omega: Array, pdf: Array) -> Array:
+        good = at.active[None] & (pdf > 0)
+        return good & (dot(omega, at.normal[None]) > 0) if at.above else good
+
+    # Directions of the brdf or the phase function ---------------------------------------------------------------------
+    u = (
+        jax.vmap(lambda k: method.sampler.draw(k, onward), out_axes=1)(keys[:, 0])
+        if onward
+        else jnp.zeros((0, rays, 2))
+    )
+    u = u.astype(at.point.dtype)
+    omega = jax.vmap(spread.sample)(u)
+    density = jax.vmap(spread.pdf)(omega)
+    sent = upward(omega, density)
+
+    # Directions towards the lights ------------------------------------------------------------------------------------
+    def drawn_from(place: int, light: SampledLight) -> Drawn:
+        def one(key: Array, point: Array, normal: Array) -> Drawn:
+            return light.sample(lambda k: method.sampler.draw(jax.random.fold_in(key, k), count), point, normal)
+
+        return jax.vmap(one, out_axes=1)(keys[:, 1 + place], at.point, at.normal)
+
+    drawn = [drawn_from(place, light) for place, light in enumerate(lights)] if count else []
+    good = [upward(d.omega, d.pdf) for d in drawn]
+
+    # What they meet ---------------------------------------------------------------------------------------------------
+    hollow = _hollow(scene, at)
+    met = _first_met(scene, at, hollow, lights, drawn, good)
+    limit = jnp.zeros((onward, rays), at.point.dtype)
+    for light in lights if own else ():
+        limit = limit.at[:own].max(_limit(light, at, omega[:own], sent[:own]))
+    if go_on is not None:
+        limit = limit.at[0].set(jnp.where(go_on & sent[0], jnp.inf, limit[0]))
+    ahead = _closest(scene, at, hollow, omega, limit)
+
+    # Weights (9) ------------------------------------------------------------------------------------------------------
+    found = []
+    for place, light in enumerate(lights):
+        parts = []
+        if count:
+            d = drawn[place]
+            weight = mis_weight(count, d.pdf, own, jax.vmap(spread.pdf)(d.omega)) if own else jnp.ones_like(d.pdf)
+            seen, distance = light.seen(d, met[place])
+            parts.append(_samples(light, d.omega, distance, good[place] & seen, weight, count, d.pdf, d.face))
+        if own:
+            first = Met(ahead.face[:own], ahead.t[:own])
+            meet = jax.vmap(jax.vmap(light.meet), in_axes=(0, None, None, 0))
+            distance, pdf = meet(omega[:own], at.point, at.normal, first)
+            weight = mis_weight(own, density[:own], count, pdf)
+            seen, distance = light.seen(Drawn(omega[:own], distance, pdf, first.face), first)
+            seen = seen & sent[:own] & (light.needs_face | (pdf > 0))
+            parts.append(_samples(light, omega[:own], distance, seen, weight, own, density[:own], first.face))
+        found.append(jax.tree.map(lambda *each: jnp.concatenate(each), *parts))
+    if go_on is None:
+        return tuple(found), None
+    on = go_on & sent[0]
+    hit = jax.tree.map(lambda leaf: leaf[0], ahead)
+    hit = eqx.tree_at(lambda h: (h.face, h.t), hit, (jnp.where(on, hit.face, -1), jnp.where(on, hit.t, 0)))
+    return tuple(found), Onward(omega[0], jnp.where(on, 1 / jnp.where(on, density[0], 1), 0), hit)
+
+
+def _samples(
+    light: SampledLight, omega: Array, distance: Array, good: Array, weight: Array, count: int, pdf: Array, face: Array
+) -> LightSamples:
+    share = jnp.where(good, weight / (count * jnp.where(good, pdf, 1)), 0)
+    return LightSamples(omega, distance, share, jnp.where(good, face, -1) if light.keeps_face else None)
+
+
+def _limit(light: SampledLight, at: Points, omega: Array, sent: Array) -> Array:
+    """How far directions [sample, ray] must be followed to know what they see of a light [m]; 0 for nothing."""
+    if light.needs_face:
+        return jnp.where(sent, jnp.inf, 0).astype(omega.dtype)
+    nothing = Met(jnp.full(sent.shape, -1, jnp.int32), jnp.full(sent.shape, jnp.inf, omega.dtype))
+    meet = jax.vmap(jax.vmap(light.meet), in_axes=(0, None, None, 0))
+    distance, pdf = meet(omega, at.point, at.normal, nothing)
+    return jnp.where(sent & (pdf > 0), distance, 0)
+
+
+def _first_met(
+    scene: Scene, at: Points, hollow: Array, lights: tuple[SampledLight, ...], drawn: list[Drawn], good: list[Array]
+) -> list[Met]:
+    """What drawn directions meet: the first face, or where that is not needed whether a face comes before the light."""
+    found: list[Met | None] = [None] * len(drawn)
+    for needs_face in (False, True):
+        places = [i for i, light in enumerate(lights[: len(drawn)]) if light.needs_face == needs_face]
+        if not places:
+            continue
+        omega = jnp.concatenate([drawn[i].omega for i in places])
+        if needs_face:
+            reach = jnp.concatenate([jnp.where(good[i], jnp.inf, 0).astype(omega.dtype) for i in places])
+            hit = _closest(scene, at, hollow, omega, reach)
+            met = Met(hit.face, hit.t)
+        else:
+            reach = jnp.concatenate([jnp.where(good[i], drawn[i].distance, 0) for i in places])
+            hidden = _any(scene, at, hollow, omega, reach)
+            met = Met(jnp.full(hidden.shape, -1, jnp.int32), jnp.where(hidden, 0, jnp.inf).astype(omega.dtype))
+        size = drawn[places[0]].pdf.shape[0]
+        for k, i in enumerate(places):
+            own = slice(k * size, (k + 1) * size)
+            found[i] = Met(met.face[own], met.t[own])
+    return [met for met in found if met is not None]
+
+
+def _flat(at: Points, omega: Array) -> tuple[Rays, Array]:
+    """Rays [sample * ray] from all points, and the faces that they leave."""
+    origin = jnp.broadcast_to(at.point[None], omega.shape)
+    face = jnp.broadcast_to(at.face[None], omega.shape[:-1])
+    return Rays(origin.reshape(-1, 3), omega.reshape(-1, 3)), face.reshape(-1)
+
+
+def _closest(scene: Scene, at: Points, hollow: Array, omega: Array, reach: Array) -> Hit:
+    """Where directions meet the first face within a reach [sample, ray, ...]."""
+    rays, leaving = _flat(at, omega)
+    hit = no_hit(rays.origin)
+    if scene.skin is not None and omega.shape[0] > 0:
+        search = partial(closest_hit, scene.skin.mesh, rays, t_max=reach.reshape(-1), leaving=leaving)
+        hit = lax.cond(hollow, search, lambda: no_hit(rays.origin))
+    return jax.tree.map(lambda leaf: leaf.reshape(reach.shape + leaf.shape[1:]), hit)
+
+
+def _any(scene: Scene, at: Points, hollow: Array, omega: Array, reach: Array) -> Array:
+    """Whether directions [sample, ray] meet any face within a reach."""
+    if scene.skin is None:
+        return jnp.zeros(reach.shape, bool)
+    rays, leaving = _flat(at, omega)
+    search = partial(any_hit, scene.skin.mesh, rays, t_max=reach.reshape(-1), leaving=leaving)
+    return lax.cond(hollow, search, lambda: jnp.zeros(leaving.shape, bool)).reshape(reach.shape)
+
+
+def _hollow(scene: Scene, at: Points) -> Bool[Array, ""]:
+    """False where nothing can hide anything: skin of a handful of faces, flat, or closed, convex, seen from outside."""
+    if scene.skin is None or scene.skin.mesh.tree is not None or not at.above:
+        return jnp.asarray(True)
+    mesh: Mesh = scene.skin.mesh
+    outward = face_normal(mesh, jnp.maximum(at.face, 0))
+    inside = (at.face >= 0) & (dot(at.normal, outward) < 0) & mesh.closed
+    return jnp.any(jnp.greater(*concavity(mesh))) | jnp.any(inside)

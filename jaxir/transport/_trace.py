@@ -1,0 +1,236 @@
+"""Trace: where rays go. All randomness and all geometry is here, and nothing in it is differentiated."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Key
+
+from jaxir._math import dot
+from jaxir.geometry import Bundle, Hit, Rays, no_hit
+from jaxir.geometry.search import any_hit, closest_hit
+from jaxir.scene import Scene
+from jaxir.scene.light import AbstractDeltaSource
+from jaxir.scene.plume import pdf_direction, sample_direction
+from jaxir.transport._direct import Onward, Points, Spread, sample_direct
+from jaxir.transport._lights import lights_at_particles, lights_at_skin
+from jaxir.transport._method import Method
+from jaxir.transport._paths import LightSamples, Paths, Scattering, Segment, Vertex
+
+
+class _State(NamedTuple):
+    """The segment that comes next; fields as in `Segment`, None where no path goes on, and the count of scatterings."""
+
+    rays: Rays
+    length: Array
+    vertex: Vertex | None
+    sees_surroundings: Array | None
+    sees_plume: Array | None
+    scattered: Array
+
+
+class _Drawn(NamedTuple):
+    """What the steps of a path are told: a random key, and whether paths may go on at all and from skin."""
+
+    key: Array | None
+    go_on: Array
+    bounce: Array
+
+
+def trace(scene: Scene, rays: Rays | Bundle, method: Method | None = None, key: Key[Array, ""] | None = None) -> Paths:
+    """Follow rays to the first face they meet, from there to every source, and on as the method asks.
+
+    Args:
+        scene: only its geometry, the places of its sources and, for sampling, its brdf and particles are used.
+        rays: unrelated rays, or a bundle (faster).
+        method: how light is found; None: `Method()`.
+        key: random key; needed where anything is sampled.
+
+    Returns:
+        The paths, without derivatives, with every sampled direction and its weight, and with the method; plume cells
+        are not stored, see `store_route`.
+
+    Raises:
+        ValueError: something is to be sampled and there is no key.
+    """
+    method = (Method() if method is None else method).resolved(scene)
+    ambient = method.ambient  # which is no geometry
+    scene, rays, method = jax.tree.map(
+        lambda leaf: lax.stop_gradient(leaf) if eqx.is_inexact_array(leaf) else leaf, (scene, rays, method)
+    )
+    if key is None and method.needs_key(scene):
+        raise ValueError("trace: got no key, expected one: lights with an extent, bounces and particles are sampled")
+
+    # The first segments end at the eye, and their rays are searched together ------------------------------------------
+    single = rays.rays() if isinstance(rays, Bundle) else rays
+    hit = no_hit(single.origin) if scene.skin is None else closest_hit(scene.skin.mesh, rays)
+    vertex = None if scene.skin is None else _vertex(scene, method, single, hit, together=True)
+    count = method.segments()
+    everywhere = jnp.ones(hit.t.shape, bool) if count > 1 else None
+    seen = everywhere if method.plume_light is not None and count > 1 else None
+    state = _State(single, hit.t, vertex, everywhere, seen, jnp.zeros(hit.t.shape, jnp.int32))
+
+    # Segment by segment -----------------------------------------------------------------------------------------------
+    index = jnp.arange(count, dtype=jnp.int32)
+    keys = None
+    if key is not None and method.needs_key(scene):
+        keys = jax.vmap(jax.random.fold_in, (None, 0))(key, index)
+    drawn = _Drawn(keys, index < count - 1, index < method.bounces)
+    if count == 1:
+        only = jax.tree.map(lambda leaf: leaf[0], drawn)
+        segments = jax.tree.map(lambda leaf: leaf[None], _step(scene, method, state, only)[1])
+    else:
+        segments = lax.scan(lambda state, own: _step(scene, method, state, own), state, drawn)[1]
+    return Paths(segments, dataclasses.replace(method, ambient=ambient))
+
+
+def _step(scene: Scene, method: Method, state: _State, drawn: _Drawn) -> tuple[_State, Segment]:
+    """What happens on one segment of each path, and the next one."""
+    count, plume = method.segments(), scene.plume
+    vertex, scattering, onward = state.vertex, None, None
+    at_skin, at_particle = (None, None) if drawn.key is None else jax.random.split(drawn.key)
+
+    # Where it ends on the skin: lights, and the direction of reflection -----------------------------------------------
+    lights = lights_at_skin(scene, method)
+    if vertex is not None and (lights or method.bounces):
+        assert at_skin is not None
+        bounce = jnp.broadcast_to(drawn.bounce, state.length.shape) if method.bounces else None
+        found, onward = _look_from_skin(scene, method, vertex, at_skin, bounce)
+        vertex = dataclasses.replace(vertex, lights=found)
+
+    # Where a particle scatters it before: lights, and the direction of scattering -------------------------------------
+    if method.orders:
+        assert plume is not None and at_particle is not None
+        for_distance, for_lights = jax.random.split(at_particle)
+        u = jax.random.uniform(for_distance, state.length.shape, state.length.dtype)
+        forced = jnp.ones(u.shape, bool) if onward is None else onward.inverse_pdf == 0
+        reach = jnp.where(drawn.go_on & (state.scattered < method.orders), state.length, 0)
+        place = plume.sample_distance(state.rays, reach, u, forced)
+        hits = place.inverse_pdf > 0
+        point = state.rays.at(place.t)
+        found, from_particle = _look_from_particles(scene, method, state.rays, point, hits, for_lights)
+        scattering = Scattering(
+            place.t, place.inverse_pdf, state.scattered, *_look_for_deltas(scene, point, hits), found
+        )
+        onward = from_particle if onward is None else _either(hits, from_particle, onward, place.passing)
+    here = (state.rays, state.length, vertex, scattering, state.sees_surroundings, state.sees_plume)
+    if count == 1:
+        return state, Segment(*here, None, None)
+    assert onward is not None
+
+    # The next segment -------------------------------------------------------------------------------------------------
+    scattered = jnp.zeros(state.length.shape, bool) if scattering is None else scattering.inverse_pdf > 0
+    begin = state.rays.at(scattering.t) if scattering is not None else jnp.zeros_like(state.rays.origin)
+    if state.vertex is not None:
+        begin = jnp.where(scattered[:, None], begin, state.vertex.point)
+    rays = Rays(begin, onward.omega)
+    landed = None
+    if state.vertex is not None:
+        landed = _vertex(scene, method, rays, onward.hit, together=False)
+    following = _State(
+        rays,
+        onward.hit.t,
+        landed,
+        scattered & (method.direct is not None),
+        None if state.sees_plume is None else scattered,
+        state.scattered + scattered.astype(jnp.int32),
+    )
+    return following, Segment(*here, onward.omega, onward.inverse_pdf)
+
+
+def _vertex(scene: Scene, method: Method, rays: Rays, hit: Hit, together: bool) -> Vertex:
+    """Where rays meet the skin; `together` where they are those of the eye, whose points are neighbours."""
+    assert scene.skin is not None
+    back = -rays.direction
+    side = jnp.where(dot(hit.normal, back) < 0, -1, 1).astype(back.dtype)
+    normal = jnp.where((hit.face >= 0)[:, None], side[:, None] * hit.normal, back)
+    counts = None
+    if method.skin_light is not None:  # whence paths go on, it was looked for
+        counts = (hit.face >= 0) & together
+    seen = [_sees(scene, source, hit, normal, together) for source in scene.delta_sources]
+    visible = jnp.stack(seen) if seen else jnp.zeros((0, *hit.face.shape), bool)
+    return Vertex(hit.face, hit.point, normal, back, visible, counts)
+
+
+def _sees(scene: Scene, source: AbstractDeltaSource, hit: Hit, normal: Array, together: bool) -> Array:
+    """Whether each hit faces a source without extent and sees it; `together` where the hits are neighbours."""
+    assert scene.skin is not None
+    omega_i, distance = jax.vmap(source.toward)(hit.point)
+    facing = (hit.face >= 0) & (distance > 0) & (dot(normal, omega_i) > 0)
+    if together:
+        return facing & ~source.hidden(scene.skin.mesh, hit.point, hit.face, facing)
+    reach = jnp.where(facing, distance, 0)
+    return facing & ~any_hit(scene.skin.mesh, Rays(hit.point, omega_i), t_max=reach, leaving=hit.face)
+
+
+def _look_from_skin(
+    scene: Scene, method: Method, vertex: Vertex, key: Array, go_on: Array | None
+) -> tuple[tuple[LightSamples, ...], Onward | None]:
+    """Lights and directions of reflection at points of the skin."""
+    assert scene.skin is not None
+    brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
+    spread = Spread(
+        lambda u: jax.vmap(lambda b, u, o, n: b.sample(u, o, n))(brdf, u, vertex.omega_o, vertex.normal),
+        lambda w: jax.vmap(lambda b, w, o, n: b.pdf(w, o, n))(brdf, w, vertex.omega_o, vertex.normal),
+    )
+    at = Points(vertex.point, vertex.normal, vertex.face, vertex.face >= 0, above=True)
+    return sample_direct(scene, method, lights_at_skin(scene, method), at, spread, key, go_on)
+
+
+def _look_from_particles(
+    scene: Scene, method: Method, rays: Rays, point: Array, active: Array, key: Array
+) -> tuple[tuple[LightSamples, ...], Onward | None]:
+    """Lights and directions of scattering at points of particles."""
+    plume = scene.plume
+    assert plume is not None
+    spread = Spread(
+        lambda u: sample_direction(plume, u, point, rays.direction),
+        lambda w: pdf_direction(plume, dot(w, rays.direction), point),
+    )
+    free = jnp.full(active.shape, -1, jnp.int32)
+    at = Points(point, rays.direction, free, active, above=False)
+    go_on = active if method.orders else None
+    return sample_direct(scene, method, lights_at_particles(scene, method), at, spread, key, go_on)
+
+
+def _look_for_deltas(scene: Scene, point: Array, active: Array) -> tuple[Array, Array, Array]:
+    """Directions and distances of sources without extent that are not summed, and whether points see them."""
+    found = []
+    for source in scene.sampled_beams:
+        omega, distance = jax.vmap(source.toward)(point)
+        seen = active & (distance > 0)
+        if scene.skin is not None:
+            seen = seen & ~any_hit(scene.skin.mesh, Rays(point, omega), t_max=jnp.where(seen, distance, 0))
+        found.append((omega, distance, seen))
+    if not found:
+        none = jnp.zeros((0, *active.shape), point.dtype)
+        return jnp.zeros((0, *point.shape), point.dtype), none, none > 0
+    omega, distance, seen = (jnp.stack(parts) for parts in zip(*found, strict=True))
+    return omega, distance, seen
+
+
+def _either(scattered: Array, by_particle: Onward | None, by_skin: Onward, passing: Array) -> Onward:
+    """The next segment from where a particle scatters a path, or from skin if it comes so far."""
+    if by_particle is None:
+        return by_skin._replace(inverse_pdf=by_skin.inverse_pdf * passing)
+    reflected = by_skin._replace(inverse_pdf=by_skin.inverse_pdf * passing)
+    return jax.tree.map(
+        lambda a, b: jnp.where(scattered.reshape((-1,) + (1,) * (a.ndim - 1)), a, b), by_particle, reflected
+    )
+
+
+def store_route(scene: Scene, paths: Paths) -> Paths:
+    """Paths with what a plume stores of their first segments, so that evaluations need not walk its grid again.
+
+    Worth its memory when the same paths are evaluated many times, as in a fit. Paths of several segments are walked.
+    """
+    plume = scene.plume
+    if plume is None or paths.method.segments() > 1:
+        return paths
+    route = lax.stop_gradient(plume).route(paths.rays, paths.length)
+    return dataclasses.replace(paths, route=route)

@@ -1,0 +1,124 @@
+"""A plan names every term, foretells the error, and is followed."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir._arrays import enforce
+from jaxir.geometry import pixel_strata
+from jaxir.imaging import ErrorLaw, Pass, Pilot, error_law, pilot, well_shaped
+from jaxir.optics.spectrum import as_nodes
+from jaxir.scene import compiled_on_nodes
+from tests.scenes import gray_box, plate
+
+CAMERA = jaxir.orthographic_camera(30.0, 20.0, 0.06, (48, 48))
+SUN = jaxir.ParallelSource((-1.0, 0.0, 0.0), 100.0)
+SUNLIT = jaxir.Scene(plate(), sources=(SUN,), background=jaxir.BlackbodyBackground(250.0))
+
+
+def test_a_plan_has_a_sentence_for_every_term():
+    scene = jaxir.Scene(
+        plate(), gray_box((1.0, 1.0, 1.0), 0.5), (SUN,), jaxir.BlackbodyBackground(250.0), jaxir.FixedPath(0.9, 0.1)
+    )
+    names = ["Plume", "Emission", "Sources", "Reflected light", "Background", "Air", "Pixels"]
+    lit = jaxir.plan(scene, CAMERA, jaxir.LWIR, 0.02)
+    assert [(term.name, term.exact) for term in lit.terms] == [(n, n not in (names[3], "Pixels")) for n in names]
+    assert lit.method == jaxir.Method().resolved(scene)
+    assert "DirectSampling(1 of each light, 1 of the brdf) with Independent points, as by default" in str(lit)
+    del names[3]
+    found = jaxir.plan(scene, CAMERA, jaxir.LWIR, 0.02, method=jaxir.Method(direct=None))
+    assert [term.name for term in found.terms] == names
+    assert [term.exact for term in found.terms] == [True] * 5 + [False]
+    for told, expected in ((found, names), (lit, [term.name for term in lit.terms])):
+        lines = str(told).splitlines()
+        assert all(x.startswith(f"{name}: ") and x.endswith(".") for name, x in zip(expected, lines, strict=True))
+    depth = 0.5 * 1.0 / (np.cos(np.deg2rad(30.0)) * np.cos(np.deg2rad(20.0)))  # through two opposite faces
+    depth_told = f"integrated along every ray, no sampling; the largest optical depth is {depth:.2g}."
+    assert all(str(told).splitlines()[0].endswith(depth_told) for told in (found, lit))
+    assert found.method.direct is None
+    assert found.seconds > 0 and found.compile_seconds > 0
+    bare = jaxir.plan(jaxir.Scene(plate()), CAMERA, jaxir.LWIR, 0.02)
+    assert [term.name for term in bare.terms] == ["Emission", "Pixels"]
+
+
+@pytest.mark.parametrize("rtol", [2e-2, 1.5e-3])
+def test_render_follows_the_plan_which_foretells_its_error(rtol):
+    key = jax.random.key(3)
+    found = jaxir.plan(SUNLIT, CAMERA, jaxir.LWIR, rtol, key=key)
+    image = jaxir.render(SUNLIT, CAMERA, jaxir.LWIR, rtol=rtol, key=key)
+    assert image.outcome == jaxir.Outcome.tolerance_met
+    assert int(image.samples) == found.samples
+    reached = float(image.intensity_error()[0] / image.radiant_intensity()[0])
+    assert 0.7 < reached / found.expected < 1.4
+    assert reached <= rtol and found.expected <= rtol
+    assert (found.samples > 2) == (rtol < 0.01)
+
+
+def test_a_closed_form_is_chosen_where_it_holds_and_samples_would_vary():
+    """A plate close to a disc larger than itself, which sampled points of the disc light unevenly."""
+    disc = jaxir.DiscSource((0.3, 0.0, 0.0), (-1.0, 0.0, 0.0), 2.0, 1000.0)
+    scene = jaxir.Scene(plate(temperature=3.0), sources=(disc,))
+    found = jaxir.plan(scene, CAMERA, jaxir.LWIR, 0.003)
+    assert isinstance(found.method.direct, jaxir.ClosedForm)
+    assert {term.name: term.exact for term in found.terms}["Reflected light"]
+    asked = jaxir.Method(jaxir.DirectSampling(2, 0))
+    kept = jaxir.plan(scene, CAMERA, jaxir.LWIR, 0.02, method=asked)
+    assert kept.method == asked.resolved(scene)
+    assert "as asked" in str(kept)
+
+
+def test_light_without_a_closed_form_is_sampled_within_the_tolerance():
+    lamp = jaxir.SphereSource((3.0, 0.0, 0.0), 0.4, 1e4)
+    scene = jaxir.Scene(plate(temperature=3.0), sources=(lamp,))
+    image = jaxir.render(scene, CAMERA, jaxir.LWIR, rtol=2e-2)
+    found = jaxir.plan(scene, CAMERA, jaxir.LWIR, 2e-2)
+    assert "sampled by" in str(found) and "the cheapest of 4 in pilots" in str(found)
+    assert image.outcome == jaxir.Outcome.tolerance_met
+
+
+def test_samples_that_do_not_suffice_are_said_so():
+    found = jaxir.plan(SUNLIT, CAMERA, jaxir.LWIR, 1e-5, max_samples=32)
+    assert found.samples <= 32 and found.expected > 1e-5
+    assert "which is all that is allowed" in str(found)
+
+
+def test_a_pilot_of_all_chunks_is_the_image():
+    nodes = enforce(as_nodes(jaxir.LWIR), SUNLIT.checks())
+    lit = compiled_on_nodes(SUNLIT, nodes)
+    key = jax.random.key(5)
+    of_image = jax.random.fold_in(jax.random.split(key)[1], 0)  # as `render` derives it for its first pass
+    seen = pilot(Pass(lit, CAMERA, of_image, pixel_strata(4), jaxir.Method().resolved(SUNLIT)))
+    image = jaxir.render(SUNLIT, CAMERA, jaxir.LWIR, samples=4, key=key)
+    np.testing.assert_allclose(seen.intensity, image.radiant_intensity(), rtol=1e-5)
+    np.testing.assert_allclose(seen.variance, image.intensity_error() ** 2, rtol=1e-4)
+
+
+def test_the_error_law_is_recovered_and_inverted():
+    law = ErrorLaw(np.array([3.0, 0.0]), np.array([0.5, 2.0]))
+    pilots = [(n, Pilot(np.ones(2), law.variance(n), 1.0, 1.0)) for n in (2, 12)]
+    found = error_law(*pilots)
+    np.testing.assert_allclose(found.noise, law.noise, atol=1e-12)
+    np.testing.assert_allclose(found.edge, law.edge, rtol=1e-12)
+    allowed = np.array([0.1, 0.1])
+    samples = found.samples(allowed, 4096)
+    fewer = well_shaped(samples)[-2]
+    assert (law.variance(samples) <= allowed).all() and (law.variance(fewer) > allowed).any()
+    assert all(abs(np.subtract(*pixel_strata(count))) <= 1 for count in well_shaped(4096))
+    steep = error_law(*[(n, Pilot(np.ones(1), np.array([n**-3.0]), 1.0, 1.0)) for n in (2, 12)])
+    assert (steep.noise >= 0).all() and (steep.edge >= 0).all()
+
+
+@pytest.mark.parametrize("entry", [jaxir.plan, lambda *rest: jaxir.render(*rest[:3], rtol=rest[3])])
+def test_a_tolerance_out_of_reach_is_refused(entry):
+    ask = (SUNLIT, CAMERA, jaxir.LWIR)
+    for bad in (0.0, -1.0, float("nan")):
+        with pytest.raises(ValueError, match=r"rtol: got .*, expected > 0"):
+            entry(*ask, bad)
+    with pytest.raises(ValueError, match=r"rtol: got 1e-08, expected at least 9.5e-07 in float32; .* needs float64"):
+        entry(*ask, 1e-8)
+    with pytest.raises(ValueError, match="needs more than float64"):
+        entry(*ask, 1e-17)
+    with pytest.raises(ValueError, match="known only inside jit"):
+        jax.jit(lambda t: jnp.asarray(entry(jaxir.Scene(plate(temperature=t)), *ask[1:], 0.1)))(300.0)

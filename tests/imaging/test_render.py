@@ -1,0 +1,201 @@
+"""The renderer against closed forms: plates, sunlit plates, gray boxes, and isothermal scenes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir.optics.spectrum import gray_nodes
+from tests.scenes import box_intensity, box_mesh, gray_box, plate
+
+BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
+PLATE_400 = (0.493069996, 14.9236707, 66.8704398)  # 1 m2, emissivity .5, normal view [W/sr]
+
+
+def assert_within(image, expected, tolerance):
+    """|I - expected| < 4 standard errors, and the standard error is small enough to mean something."""
+    got, error = np.asarray(image.radiant_intensity(), float), np.asarray(image.intensity_error(), float)
+    expected = np.asarray(expected)
+    assert (error < tolerance / 4 * expected).all(), (error, expected)
+    assert (np.abs(got - expected) < 4 * error + 1e-5 * expected).all(), (got, expected, error)
+
+
+@pytest.mark.parametrize("angle", [0.0, 20.0, 60.0, 85.0])
+def test_emitting_plate_by_faces(angle, precision):
+    got = jaxir.unoccluded_intensity(jaxir.Scene(plate()), angle, 0.0, BANDS)
+    rtol = {"float32": 1e-6, "float64": 5e-9}[precision]  # the closed form is printed with nine digits
+    np.testing.assert_allclose(np.asarray(got, float), np.cos(np.deg2rad(angle)) * np.array(PLATE_400), rtol=rtol)
+
+
+@pytest.mark.parametrize(("angle", "distance"), [(0.0, np.inf), (60.0, np.inf), (30.0, 11547.0)])
+def test_emitting_plate_by_image(angle, distance, precision):
+    shape, size = (48, 48), 1.5
+    if np.isinf(distance):
+        camera = jaxir.orthographic_camera(angle, 0.0, size / 48, shape)
+    else:
+        camera = jaxir.perspective_camera(angle, 0.0, distance, size / 48 / distance, shape)
+    image = jaxir.render(jaxir.Scene(plate()), camera, BANDS, samples=18)
+    assert_within(image, np.cos(np.deg2rad(angle)) * np.array(PLATE_400), 0.01)
+
+
+@pytest.mark.parametrize("incidence", [0.0, 40.0])
+@pytest.mark.parametrize("view", [0.0, 70.0])
+def test_plate_under_a_parallel_source(incidence, view, precision):
+    a = np.deg2rad(incidence)
+    cold = plate(emissivity=0.5, temperature=3.0)
+    sun = jaxir.ParallelSource((-np.cos(a), -np.sin(a), 0.0), 100.0)
+    scene = jaxir.Scene(cold, sources=(sun,))
+    expected = 0.5 * 100.0 * np.cos(a) * np.cos(np.deg2rad(view)) / np.pi
+    got = jaxir.unoccluded_intensity(scene, view, 0.0, jaxir.MWIR)
+    np.testing.assert_allclose(got, [expected], rtol={"float32": 2e-6, "float64": 1e-9}[precision])
+    camera = jaxir.orthographic_camera(view, 0.0, 1.2 / 40, (40, 40))
+    assert_within(jaxir.render(scene, camera, jaxir.MWIR, samples=18), [expected], 0.02)
+
+
+def test_a_source_behind_the_plate_lights_nothing():
+    scene = jaxir.Scene(plate(temperature=3.0), sources=(jaxir.ParallelSource((1.0, 0.0, 0.0), 100.0),))
+    image = jaxir.render(scene, jaxir.orthographic_camera(0.0, 0.0, 0.1, (16, 16)), jaxir.MWIR, samples=2)
+    assert float(jnp.abs(image.radiance).max()) < 1e-30
+
+
+def test_a_box_shades_the_plate_behind_it():
+    board, blocker = plate(temperature=3.0), box_mesh((0.1, 0.4, 0.4), (2.0, 0.0, 0.0))
+    vertices = np.concatenate([board.mesh.vertices, blocker.vertices])
+    faces = np.concatenate([board.mesh.faces, np.asarray(blocker.faces) + 4])
+    skin = jaxir.Skin(jaxir.Mesh(vertices, faces), 3.0, jaxir.Lambert(0.5))
+    scene = jaxir.Scene(skin, sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 100.0),))
+    # seen from 80 deg above: the board's lit part is 1 - .16 of its area, the box shows its lit front .16 m2 too
+    camera = jaxir.orthographic_camera(0.0, 75.0, 3.2 / 160, (160, 160), target=(1.0, 0.0, 0.0))
+    image = jaxir.render(scene, camera, jaxir.MWIR, samples=8)
+    expected = 0.5 * 100.0 / np.pi * np.cos(np.deg2rad(75.0)) * (1 - 0.16 + 0.16)
+    assert_within(image, [expected], 0.05)
+
+
+@pytest.mark.parametrize(
+    ("size", "kappa", "source"), [((2.0, 2.0, 2.0), 10.0, 10.0), ((2.0, 2.0, 0.5), 0.01, 1e4)], ids=["thick", "thin"]
+)
+@pytest.mark.parametrize("angle", [0.0, 30.0, 80.0])
+def test_gray_boxes(size, kappa, source, angle, precision):
+    plume = gray_box(size, kappa)
+    black = float(jaxir.band_radiance(plume.temperature[0, 0, 0], gray_nodes((jaxir.MWIR,)))[0])
+    camera = jaxir.orthographic_camera(angle, 0.0, 3.2 / 64, (16 if size[2] < 1 else 48, 64))
+    image = jaxir.render(jaxir.Scene(plumes=plume), camera, jaxir.MWIR, samples=8)
+    # the box's width across the view at 0 deg is its y extent, its depth the x extent
+    expected = box_intensity(size[1], size[0], size[2], kappa, black, angle)
+    assert_within(image, [expected], 0.02)
+    crossed = jaxir.plume_intensity(jaxir.Scene(plumes=plume), angle, 0.0, jaxir.MWIR, rays=1024)
+    np.testing.assert_allclose(crossed, expected, rtol=2e-3)
+
+
+def test_parallel_rays_through_a_plume_in_hazy_air_in_front_of_a_sky():
+    """An opaque box shows its outline times (blackbody - sky), dimmed by the air, from above as from below."""
+    plume, toward = gray_box((3.0, 1.0, 2.0), 1e4), np.cos(np.deg2rad(30.0)) * np.array([0.5, np.sqrt(0.75), 0.0])
+    black = jaxir.band_radiance(plume.temperature[0, 0, 0], gray_nodes((jaxir.MWIR,)))[0]
+    parts = {"background": jaxir.UniformBackground(2.0), "atmosphere": jaxir.FixedPath(0.6, 3.0)}
+    outline = toward @ [2.0, 6.0, 3.0] + 0.5 * 3.0
+    for elevation in (30.0, -30.0):
+        got = jaxir.plume_intensity(jaxir.Scene(plumes=plume, **parts), 60.0, elevation, jaxir.MWIR, rays=64)
+        np.testing.assert_allclose(got, 0.6 * outline * (black - 2.0), rtol=2e-5)
+
+
+def test_a_pixel_inside_a_homogeneous_box_has_no_error(precision):
+    plume = gray_box((2.0, 2.0, 2.0), 0.7)
+    black = float(jaxir.band_radiance(plume.temperature[0, 0, 0], gray_nodes((jaxir.MWIR,)))[0])
+    image = jaxir.render(jaxir.Scene(plumes=plume), jaxir.orthographic_camera(0.0, 0.0, 0.05, (16, 16)), jaxir.MWIR)
+    rtol = {"float32": 3e-6, "float64": 1e-9}[precision]
+    np.testing.assert_allclose(image.radiance, black * -np.expm1(-0.7 * 2.0), rtol=rtol)
+    assert float(image.standard_error.max()) <= 3e-7 * black
+
+
+def isothermal_scene(temperature, emissivity=1.0):
+    mesh = box_mesh((0.6, 0.8, 0.7), (0.3, 0.0, 0.0))
+    return jaxir.Scene(
+        skin=jaxir.Skin(mesh, temperature, jaxir.Lambert(emissivity)),
+        plumes=gray_box((3.0, 1.0, 1.0), np.linspace(0.0, 4.0, 60).reshape(4, 3, 5, 1), temperature=temperature),
+        background=jaxir.BlackbodyBackground(temperature),
+    )
+
+
+@pytest.mark.parametrize("view", [(0.0, 0.0), (35.0, 20.0), (180.0, -70.0), (90.0, 90.0)])
+def test_an_isothermal_scene_is_a_blackbody(view, precision):
+    scene = isothermal_scene(700.0)
+    image = jaxir.render(scene, jaxir.orthographic_camera(*view, 0.15, (32, 32)), BANDS, samples=2)
+    rtol = {"float32": 1e-6, "float64": 1e-12}[precision]
+    shown = np.broadcast_to(jaxir.band_radiance(scene.skin.temperature[0], gray_nodes(BANDS)), image.radiance.shape)
+    np.testing.assert_allclose(image.radiance, shown, rtol=rtol)
+
+
+def test_skin_behind_the_plume_is_dimmed_and_skin_in_front_hides_it(precision):
+    kappa, length = 0.8, 1.0
+    cold_gas = gray_box((length, 1.0, 1.0), kappa, temperature=3.0)
+    behind = plate(emissivity=1.0, temperature=500.0, x=-2.0)
+    camera = jaxir.orthographic_camera(0.0, 0.0, 0.05, (16, 16))
+    black = np.asarray(jaxir.band_radiance(jnp.asarray(500.0), gray_nodes((jaxir.LWIR,))))
+    rtol = {"float32": 2e-6, "float64": 1e-9}[precision]
+    dimmed = jaxir.render(jaxir.Scene(behind, cold_gas), camera, jaxir.LWIR, samples=2).radiance
+    np.testing.assert_allclose(dimmed, np.full((16, 16, 1), black * np.exp(-kappa * length)), rtol=rtol)
+    front = plate(emissivity=1.0, temperature=500.0, x=2.0)
+    hot_gas = gray_box((length, 1.0, 1.0), kappa, temperature=2000.0)
+    hidden = jaxir.render(jaxir.Scene(front, hot_gas), camera, jaxir.LWIR, samples=2).radiance
+    np.testing.assert_allclose(hidden, np.full((16, 16, 1), black), rtol=rtol)
+
+
+def test_the_plume_shades_the_skin_from_the_sun(precision):
+    gas = gray_box((1.0, 4.0, 4.0), 0.6, temperature=3.0)
+    behind = plate(emissivity=0.2, temperature=3.0, x=-2.0)
+    scene = jaxir.Scene(behind, gas, sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 50.0),))
+    image = jaxir.render(scene, jaxir.orthographic_camera(0.0, 0.0, 0.05, (16, 16)), jaxir.SWIR, samples=2)
+    expected = 0.8 / np.pi * 50.0 * np.exp(-2 * 0.6)
+    np.testing.assert_allclose(image.radiance, np.full((16, 16, 1), expected), rtol=1e-5)
+
+
+def test_the_air_dims_and_glows_over_everything():
+    board = jaxir.Scene(plate(emissivity=1.0))
+    camera = jaxir.orthographic_camera(0.0, 0.0, 0.1, (32, 32))
+    clear = jaxir.render(board, camera, BANDS, samples=2)
+    air = jaxir.FixedPath([0.9, 0.8, 0.7], [0.1, 0.2, 0.3])
+    hazy = jaxir.render(jaxir.Scene(board.skin, atmosphere=air), camera, BANDS, samples=2)
+    np.testing.assert_allclose(
+        hazy.radiance, np.asarray(clear.radiance) * [0.9, 0.8, 0.7] + np.array([0.1, 0.2, 0.3], np.float32), rtol=1e-5
+    )
+    np.testing.assert_allclose(hazy.empty[0, 0], [0.1, 0.2, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(
+        hazy.radiant_intensity(), np.asarray(clear.radiant_intensity()) * [0.9, 0.8, 0.7], rtol=1e-4
+    )
+
+
+def test_signature_agrees_with_the_sum_over_faces():
+    mesh = box_mesh((1.0, 2.0, 0.5))
+    scene = jaxir.Scene(jaxir.Skin(mesh, np.linspace(300.0, 400.0, 12), jaxir.Lambert(0.7)))
+    views = [(0.0, 0.0), (37.0, 12.0), (200.0, -50.0), (90.0, 90.0)]
+    table = jaxir.signature(scene, views, BANDS, shape=(96, 96), samples=8)
+    for (azimuth, elevation), got, error in zip(views, table.intensity, table.standard_error, strict=True):
+        exact = jaxir.unoccluded_intensity(scene, azimuth, elevation, BANDS)
+        assert (np.abs(got - exact) < 4 * error + 1e-5 * exact).all()
+        assert (error < 2e-3 * exact).all()
+
+
+def test_signature_from_a_range_sees_what_an_image_from_there_sees():
+    scene = jaxir.Scene(jaxir.Skin(box_mesh((1.0, 2.0, 0.5)), 350.0, jaxir.Lambert(0.7)))
+    table = jaxir.signature(scene, [(30.0, 10.0)], jaxir.LWIR, distance=20.0, shape=(96, 96), samples=8)
+    camera = jaxir.perspective_camera(30.0, 10.0, 20.0, 2.6 / 128 / 20.0, (128, 128))
+    image = jaxir.render(scene, camera, jaxir.LWIR, samples=8)
+    both = np.hypot(table.standard_error[0], image.intensity_error())
+    np.testing.assert_allclose(table.intensity[0], image.radiant_intensity(), atol=4 * float(both[0]) + 1e-4)
+
+
+def test_repeats_with_the_same_key_and_differs_with_another():
+    scene, camera = jaxir.Scene(plate()), jaxir.orthographic_camera(20.0, 10.0, 0.11, (16, 16))
+    first, again = (jaxir.render(scene, camera, jaxir.MWIR, samples=2).radiance for _ in range(2))
+    other = jaxir.render(scene, camera, jaxir.MWIR, samples=2, key=jax.random.key(7)).radiance
+    assert (first == again).all()
+    assert not (first == other).all()
+
+
+def test_the_standard_error_is_the_scatter_over_keys():
+    scene, camera = jaxir.Scene(plate()), jaxir.orthographic_camera(20.0, 10.0, 0.11, (16, 16))
+    images = [jaxir.render(scene, camera, jaxir.MWIR, samples=4, key=jax.random.key(k)) for k in range(64)]
+    scatter = np.var([float(i.radiant_intensity()[0]) for i in images], ddof=1)
+    claimed = np.mean([float(i.intensity_error()[0]) ** 2 for i in images])
+    assert 0.6 < scatter / claimed < 1.55  # chi-squared of 63 degrees of freedom: .1 % to 99.9 %

@@ -1,0 +1,75 @@
+"""Numbers per face from CSV, NPZ and NPY: by order or by index, and what is wrong with a file is named."""
+
+import numpy as np
+import pytest
+
+from jaxir.io.field import load_array, load_face_values
+from tests.io.scene_file.scene_text import write_npz
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "300\n310\n320\n",
+        "# K\ntemperature\n300\n310\n\n320\n",
+        "face,temperature,note\n2,320,a\n0,300,b\n1,310,c\n",
+    ],
+)
+def test_csv(text, tmp_path):
+    (tmp_path / "t.csv").write_text(text)
+    np.testing.assert_array_equal(load_face_values(tmp_path / "t.csv", 3), [300, 310, 320])
+
+
+def test_npz_and_npy(tmp_path):
+    want = np.array([300.0, 310.0, 320.0])
+    write_npz(tmp_path / "t.npz", temperature=want[::-1], face=np.array([2, 1, 0]), other=want)
+    np.save(tmp_path / "t.npy", want)
+    np.testing.assert_array_equal(load_face_values(tmp_path / "t.npz", 3), want)
+    np.testing.assert_array_equal(load_face_values(tmp_path / "t.npy", 3), want)
+    np.testing.assert_array_equal(load_array(tmp_path / "t.npz", "other"), want)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "t.csv: holds no values, expected 3"),
+        ("300\n310\n", "t.csv: got 2 values, expected 3, one per face"),
+        ("300\n310\n320\n330\n", "t.csv:4: got more than 3 values"),
+        ("300\n310\nnan\n", "t.csv:3: got 'nan', expected a finite number"),
+        ("300\n310\nhot\n", "t.csv:3: got 'hot', expected a finite number"),
+        ("temperature_C\n20\n", "t.csv:1: got columns temperature_C, expected temperature"),
+        ("face,temperature\n0,300\n1\n", "t.csv:3: got 1 columns, expected 2"),
+        ("face,temperature\n0,300\n1,310\n1,320\n", "t.csv: face 1 has 2 values|face 2 has 0 values"),
+        ("face,temperature\n0,300\n1,310\n3,320\n", "t.csv: face 3 at .2., expected integers 0 to 2"),
+    ],
+)
+def test_wrong_csv(text, message, tmp_path):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        load_face_values(tmp_path / "t.csv", 3)
+
+
+def test_wrong_npz(tmp_path):
+    good = write_npz(tmp_path / "good.npz", temperature=np.ones(3), words=np.array(["a"]), bad=np.array([1.0, np.nan]))
+    (tmp_path / "cut.npz").write_bytes(good.read_bytes()[:200])
+    np.save(tmp_path / "whole.npy", np.ones(1000))
+    (tmp_path / "cut.npy").write_bytes((tmp_path / "whole.npy").read_bytes()[:500])
+    (tmp_path / "noise.npz").write_bytes(b"hello")
+    (tmp_path / "latin.csv").write_bytes(b"30\xe9\n")
+    for call, message in (
+        (lambda: load_face_values(good, 4), r"good.npz: temperature has shape \(3,\), expected \(4,\)"),
+        (lambda: load_face_values(good, 3, "heat"), "good.npz: got array 'heat', expected one of temperature, words"),
+        (lambda: load_array(good, "words"), "good.npz: words holds <U1, expected numbers"),
+        (lambda: load_array(good, "bad"), r"good.npz: bad is nan at \[1\], expected finite"),
+        (lambda: load_array(tmp_path / "cut.npz", "temperature"), "cut.npz: not readable as NPZ or NPY"),
+        (lambda: load_array(tmp_path / "cut.npy"), "cut.npy: not readable as NPZ or NPY"),
+        (lambda: load_array(tmp_path / "noise.npz"), "noise.npz: not readable as NPZ or NPY"),
+        (lambda: load_array(tmp_path / "none.npz"), "none.npz: no such file"),
+        (lambda: load_face_values(tmp_path / "latin.csv", 1), "latin.csv: not readable as CSV"),
+        (
+            lambda: load_face_values(tmp_path / "t.xls", 1),
+            "t.xls: expected a file name that ends in .csv, .npz or .npy",
+        ),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()

@@ -1,0 +1,52 @@
+"""Images and tables: every format read back, nothing half written."""
+
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir.io.result import save_image, save_signature, save_tiff
+from tests.scenes import plate
+
+
+@pytest.fixture(scope="module")
+def image():
+    scene = jaxir.Scene(plate())
+    return jaxir.render(scene, jaxir.orthographic_camera(0.0, 0.0, 0.1, (12, 16)), (jaxir.MWIR, jaxir.LWIR), samples=2)
+
+
+def test_npz_holds_image_and_conditions(image, tmp_path):
+    save_image(tmp_path / "image.npz", image)
+    with np.load(tmp_path / "image.npz") as held:
+        np.testing.assert_array_equal(held["radiance"], image.radiance)
+        np.testing.assert_array_equal(held["standard_error"], image.standard_error)
+        assert list(held["bands"]) == ["MWIR", "LWIR"] and str(held["unit"]) == "W m-2 sr-1"
+
+
+def test_tiff_holds_one_page_per_band(image, tmp_path):
+    import tifffile
+
+    save_tiff(tmp_path / "image.tif", image)
+    with tifffile.TiffFile(tmp_path / "image.tif") as held:
+        assert [page.description for page in held.pages] == [f"{b} radiance, W m-2 sr-1" for b in image.bands]
+        for index, page in enumerate(held.pages):
+            assert page.dtype == np.float32
+            np.testing.assert_array_equal(page.asarray(), image.radiance[:, :, index])
+
+
+def test_signature_table(tmp_path):
+    table = jaxir.signature(jaxir.Scene(plate()), [(0.0, 0.0), (30.0, -10.0)], jaxir.LWIR, shape=(16, 16))
+    save_signature(tmp_path / "table.csv", table)
+    header, *rows = (tmp_path / "table.csv").read_text().splitlines()
+    assert header == "azimuth_deg,elevation_deg,LWIR_W_per_sr,LWIR_standard_error_W_per_sr"
+    held = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    np.testing.assert_allclose(held[:, 2], table.intensity[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(held[:, :2], [(0.0, 0.0), (30.0, -10.0)], rtol=1e-6)
+
+
+@pytest.mark.parametrize("save", [save_image, save_tiff])
+def test_nothing_is_left_of_a_failed_write(save, image, tmp_path):
+    with pytest.raises(ValueError, match="expected a file name that ends in"):
+        save(tmp_path / "image.png", image)
+    with pytest.raises(ValueError, match="does not exist"):
+        save(tmp_path / "absent" / ("image.npz" if save is save_image else "image.tif"), image)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+
+from jaxir.io.spectra import load_atmosphere_csv, load_tape7
+from jaxir.optics.spectrum import MWIR, resolved_nodes
+
+NODES = resolved_nodes([MWIR], points=1, pair_points=0)
+WAVENUMBER = np.arange(1990.0, 3350.0, 5.0)
+TRANSMITTANCE = 0.5 + 0.4 * np.sin(WAVENUMBER / 90)
+THERMAL = 1e-6 * np.exp(-WAVENUMBER / 400)  # W cm-2 sr-1 / cm-1
+SOLAR = np.full_like(THERMAL, 2e-10)
+MAGNITUDE = {1: "0P", 2: "1P"}
+
+
+def tape7(mode):
+    """The file as MODTRAN 4 writes it, column by column."""
+    lines = [f"TM  6    2    {mode}    0", "   10.000     0.000   30.000", ""]
+    if mode == 0:
+        lines += ["    FREQ COMBIN    H2O   UMIX     O3  TRACE     N2    H2O MOLEC AER+CLD  HNO3 AER+CLD    -LOG"]
+        lines += ["    CM-1  TRANS  TRANS  TRANS  TRANS  TRANS   CONT   CONT   SCAT  TRANS  TRANS abTRNS  COMBIN"]
+    elif mode == 3:
+        lines += ["    FREQ   TRANS     SOL TR  SOLAR"]
+    else:
+        lines += [
+            "    FREQ  TOT TRANS  PTH THRML  THRML SCT  SURF EMIS   SOL SCAT  SING SCAT  GRND RFLT"
+            "  DRCT RFLT  TOTAL RAD  REF SOL  SOL@OBS   DEPTH"
+        ]
+    for nu, t, thermal, solar in zip(WAVENUMBER, TRANSMITTANCE, THERMAL, SOLAR, strict=True):
+        depth = -np.log(t)
+        if mode == 0:
+            lines.append(f"{nu:8.2f}" + f" {t:6.4f}" * 11 + f" {depth:7.3f}")
+        elif mode == 1:  # discrete ordinates: thermal scattering, solar terms and direct reflection stay blank
+            blank = " " * 11
+            lines.append(
+                f"{nu:8.2f}{t:11.4E}{thermal:11.4E}{blank}{7e-9:11.4E}{blank}{blank}{3e-9:11.4E}{blank}"
+                f"{thermal + 1e-8:11.4E}{'':18}{depth:8.3f}"
+            )
+        elif mode == 2:
+            values = (thermal, thermal / 9, 7e-9, solar, solar / 2, 3e-9, 1e-9, thermal + solar + 1e-8)
+            tail = f"{1e-8:9.2E}{1e-8:9.2E}{depth:8.3f}"
+            lines.append(f"{nu:8.2f}{t:11.8f}" + "".join(f"{v:11.4E}" for v in values) + tail)
+        else:
+            lines.append(f"{nu:8.2f}{t:8.4f}{1e-6:9.2E}{2e-6:9.2E}".ljust(95) + f"{depth:10.3E}")
+    return [*lines, "  -9999.", ""]
+
+
+@pytest.mark.parametrize("mode", [0, 1, 2, 3])
+def test_tape7_round_trip(mode, tmp_path):
+    file = tmp_path / "case.tp7"
+    file.write_text("\n".join(tape7(mode)))
+    air = load_tape7(file)
+    assert np.allclose(air.wavenumber, WAVENUMBER) and np.allclose(air.transmittance, TRANSMITTANCE, atol=1e-4)
+    expected = {0: 0 * THERMAL, 1: THERMAL, 2: THERMAL + SOLAR, 3: 0 * THERMAL}[mode] * 1e4
+    assert np.allclose(air.spectral_path_radiance, expected, rtol=1e-4)
+    assert air.on(NODES).transmittance.shape == (NODES.count,)
+
+
+def test_tape7_of_other_versions(tmp_path):
+    lines = [line.replace("TOT TRANS", "TOT_TRANS").replace("PTH THRML", "PTH_THRML") for line in tape7(2)]
+    lines = [line[2:] if line.startswith("    FREQ") else line for line in lines]  # header shifted by two
+    descending = lines[:4] + lines[-3:3:-1] + lines[-2:]
+    file = tmp_path / "case.7sc"
+    file.write_text("\n".join(descending))
+    air = load_tape7(file)
+    assert np.allclose(air.wavenumber, WAVENUMBER) and np.allclose(air.transmittance, TRANSMITTANCE, atol=1e-6)
+
+
+def change(lines, number, old, new):
+    lines[number - 1] = lines[number - 1].replace(old, new, 1)
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("broken", "where", "what"),
+    [
+        (lambda lines: lines[:-2], "", "cut"),
+        (lambda lines: lines[:10] + [lines[10][:40]] + lines[11:], ":11:", "characters"),
+        (lambda lines: [line.replace("FREQ", "WAVLEN") for line in lines], "", "FREQ"),
+        (lambda lines: [line.replace("TOT TRANS", "ALL OF IT") for line in lines], ":4:", "TOT TRANS"),
+        (lambda lines: change(lines, 9, "2010.00", "20l0.00"), ":9:", "number"),
+        (lambda lines: change(lines, 9, "2010.00", "1900.00"), ":9:", "monotonic"),
+        (lambda lines: [x[:8] + "  1.500000 " + x[19:] if x.startswith(" 2010") else x for x in lines], ":9:", "0, 1"),
+        (lambda lines: change(lines, 9, "2010.00", "    nan"), ":9:", "finite"),
+    ],
+)
+def test_broken_tape7_names_the_line(broken, where, what, tmp_path):
+    file = tmp_path / "bad.tp7"
+    file.write_text("\n".join(broken(tape7(2))))
+    with pytest.raises(ValueError, match=rf"bad\.tp7{where}.*{what}"):
+        load_tape7(file)
+
+
+def test_csv_by_wavenumber_and_by_wavelength(tmp_path):
+    table = np.stack([WAVENUMBER, TRANSMITTANCE, THERMAL * 1e4], axis=1)
+    by_number, by_length = tmp_path / "a.csv", tmp_path / "b.csv"
+    header = "# from somewhere\n\nwavenumber_cm-1, transmittance, path_radiance, note\n"
+    by_number.write_text(header + "\n".join(",".join(f"{x:.8g}" for x in row) + ",x" for row in table))
+    rows = "\n".join(f"{t:.8g},{1e4 / nu:.9g}" for nu, t in zip(WAVENUMBER, TRANSMITTANCE, strict=True))
+    by_length.write_text("transmittance,wavelength_um\n" + rows)
+    first, second = load_atmosphere_csv(by_number), load_atmosphere_csv(by_length)
+    assert np.allclose(first.spectral_path_radiance, THERMAL * 1e4, rtol=1e-5)
+    assert np.allclose(first.on(NODES).transmittance, second.on(NODES).transmittance, atol=1e-5)
+    assert np.all(np.asarray(second.spectral_path_radiance) == 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("", "no lines"),
+        ("a,b\n1,2\n", ":1: got columns"),
+        ("wavenumber_cm-1,transmittance\n2000,0.5\n2010\n", ":3: got 1 columns"),
+        ("wavenumber_cm-1,transmittance\n2000,0.5\n2010,x\n", ":3: got 'x' for transmittance"),
+        ("wavenumber_cm-1,transmittance\n2000,0.5\n2010,1.2\n", ":3: got transmittance 1.2"),
+        ("wavenumber_cm-1,transmittance\n2000,0.5\n2010,0.5\n2005,0.5\n", ":4: got wavenumber 2005"),
+        ("wavenumber_cm-1,transmittance\n2000,0.5\n2000,0.5\n", ":3: .* twice"),
+        ("wavenumber_cm-1,transmittance,path_radiance\n2000,0.5,-1\n", ":2: got path radiance"),
+        ("wavenumber_cm-1,transmittance\n2000,0.5\n", "1 samples"),
+    ],
+)
+def test_broken_csv_names_the_line(text, what, tmp_path):
+    file = tmp_path / "bad.csv"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=what):
+        load_atmosphere_csv(file)

@@ -1,0 +1,320 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxir._arrays import as_float
+from jaxir.geometry import Grid, Rays, crossings
+from jaxir.medium import crossing_sum, march, optical_depth, transmittance
+from tests.reference import reference_crossings, reference_radiance
+
+SHAPE, NODES = (6, 4, 5), 2
+DEPTHS = {"thin": (-8, -6), "mixed": (-8, 4), "thick": (2, 4)}
+
+
+def tolerance(precision):
+    return 1e-5 if precision == "float32" else 1e-6
+
+
+def parallel_rays(start, direction):
+    start = np.asarray(start, float)
+    return Rays(as_float(start), as_float(np.broadcast_to(direction, start.shape)))
+
+
+def scene(case, seed=0, count=300):
+    """A grid of random cells whose optical depths span `case`, random rays, random radiance behind."""
+    rng = np.random.default_rng(seed)
+    grid = Grid([-0.3, -0.4, -0.25], [0.1, 0.2, 0.1], SHAPE)
+    low, high = DEPTHS[case]
+    extinction = 10 ** rng.uniform(low, high, size=SHAPE + (NODES,)) / 0.1
+    extinction[rng.random(extinction.shape) < 0.1] = 0.0
+    emission = extinction * rng.uniform(0.5, 2, size=extinction.shape)
+    start = rng.normal(size=(count, 3)) * np.where(rng.random((count, 1)) < 0.3, 0.1, 1.0)
+    direction = rng.normal(size=(count, 3)) * 0.2 - start
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    t_max = np.where(rng.random(count) < 0.5, np.inf, rng.uniform(0, 1.5, count))
+    rays = Rays(as_float(start), as_float(direction))
+    behind = rng.uniform(0, 2, size=(count, NODES))
+    return grid, rays, as_float(t_max), *(as_float(x) for x in (extinction, emission, behind))
+
+
+@jax.jit  # compiled once for all tests of one shape
+def summed(lists, extinction, emission, behind):
+    return crossing_sum(
+        lists, extinction.reshape(-1, extinction.shape[-1]), emission.reshape(-1, emission.shape[-1]), behind
+    )
+
+
+def by_list(grid, rays, t_max):
+    lists = crossings(grid, rays, t_max)
+    return lambda extinction, emission, behind: summed(lists, extinction, emission, behind)
+
+
+def by_march(grid, rays, t_max):
+    return lambda extinction, emission, behind: march(grid, extinction, emission, rays, t_max, behind)
+
+
+ROUTES = {"march": by_march, "list": by_list}
+
+
+@pytest.mark.parametrize("case", DEPTHS)
+def test_march_list_and_reference_agree(case, precision):
+    grid, rays, t_max, extinction, emission, behind = scene(case)
+    mu, j = (np.asarray(x, float).reshape(-1, NODES) for x in (extinction, emission))
+    want, scale = np.zeros(behind.shape), 2.0 if case != "thin" else 1.0
+    for ray in range(rays.count):
+        cell, length = reference_crossings(
+            grid.origin, grid.spacing, SHAPE, *(np.asarray(x[ray], float) for x in (rays.origin, rays.direction)),
+            float(t_max[ray]),
+        )  # fmt: skip
+        want[ray] = reference_radiance(cell, length, mu, j, np.asarray(behind[ray], float))
+    for route in ROUTES.values():
+        got = route(grid, rays, t_max)(extinction, emission, behind)
+        error = np.abs(np.asarray(got) - want)
+        # A ray that grazes an edge by less than its own rounding may take the other cell: few may, in float32.
+        assert np.quantile(error, 0.98) < tolerance(precision) * scale
+        assert precision == "float32" or error.max() < tolerance(precision)
+    both = [route(grid, rays, t_max)(extinction, emission, behind) for route in ROUTES.values()]
+    np.testing.assert_allclose(*both, atol=tolerance(precision), rtol=tolerance(precision))
+
+
+@pytest.mark.parametrize("case", DEPTHS)
+def test_gradients_of_march_equal_those_of_the_list_in_both_modes(case, precision):
+    grid, rays, t_max, *fields = scene(case, seed=1)
+    rng = np.random.default_rng(2)
+    weight = as_float(rng.normal(size=fields[2].shape))
+    tangents = tuple(as_float(rng.normal(size=x.shape)) * x for x in fields)
+    pushed, pulled = [], []
+    for route in ROUTES.values():
+        function = route(grid, rays, t_max)
+        pushed.append(jax.jvp(function, tuple(fields), tangents)[1])
+        pulled.append(jax.vjp(function, *fields)[1](weight))
+    limit = 1e-5 if precision == "float32" else 1e-11
+    np.testing.assert_allclose(*pushed, rtol=limit, atol=limit * float(jnp.abs(pushed[1]).max()))
+    for ours, theirs in zip(*pulled, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=limit, atol=limit * float(jnp.abs(theirs).max()))
+    inner = sum(float(jnp.vdot(a, b)) for a, b in zip(pulled[0], tangents, strict=True))
+    np.testing.assert_allclose(inner, float(jnp.vdot(weight, pushed[0])), rtol=20 * limit)
+
+
+def test_gradients_of_march_equal_central_differences(x64):
+    grid, rays, t_max, extinction, emission, behind = scene("mixed", seed=3)
+    extinction, emission = jnp.minimum(extinction, 20.0), jnp.minimum(emission, 20.0)
+
+    def total(scale):
+        return jnp.sum(march(grid, extinction * scale[0], emission * scale[1], rays, t_max, behind * scale[2]) ** 2)
+
+    at, step = jnp.ones(3), 1e-5
+    want = [(total(at.at[i].add(step)) - total(at.at[i].add(-step))) / (2 * step) for i in range(3)]
+    np.testing.assert_allclose(jax.grad(total)(at), want, rtol=1e-6)
+    np.testing.assert_allclose(jax.jacfwd(total)(at), want, rtol=1e-6)
+
+
+def test_march_works_under_every_transformation(x64):
+    grid, rays, t_max, extinction, emission, behind = scene("mixed", seed=4)
+    scales = jnp.array([0.5, 1.0, 2.0])
+
+    def one(at, scale):
+        return march(grid, extinction * scale * at[0], emission * at[1], rays, t_max, behind * at[2]).sum()
+
+    at = jnp.ones(3)
+    want = sum(jax.grad(one)(at, scale) for scale in scales)
+    runs = {
+        "vmap": lambda at: jax.vmap(one, (None, 0))(at, scales).sum(),
+        "scan": lambda at: jax.lax.scan(lambda c, s: (c + one(at, s), None), jnp.zeros(()), scales)[0],
+        "checkpoint": jax.checkpoint(lambda at: jax.vmap(one, (None, 0))(at, scales).sum()),
+    }
+    for run in runs.values():
+        np.testing.assert_allclose(jax.jit(jax.grad(run))(at), want, rtol=1e-10)
+        np.testing.assert_allclose(jax.jacfwd(run)(at), want, rtol=1e-10)
+
+    def many(at):
+        return march(grid, extinction * at[0], emission * at[1], rays, t_max, behind * at[2])[:4]
+
+    np.testing.assert_allclose(jax.jacfwd(many)(at), jax.jacrev(many)(at), rtol=1e-10)
+    for argument in range(3):  # one differentiated operand at a time takes other paths through the rules
+        fields = [extinction, emission, behind]
+
+        def single(value, argument=argument, fields=fields):
+            inputs = [*fields[:argument], value, *fields[argument + 1 :]]
+            return march(grid, inputs[0], inputs[1], rays, t_max, inputs[2])
+
+        tangent = fields[argument]
+        pushed = jax.jvp(single, (fields[argument],), (tangent,))[1]
+        pulled = jax.vjp(single, fields[argument])[1](jnp.ones_like(behind))[0]
+        np.testing.assert_allclose(jnp.vdot(pulled, tangent), pushed.sum(), rtol=1e-10)
+
+
+def test_second_derivatives_are_refused_by_march_and_given_by_the_list(x64):
+    grid, rays, t_max, *fields = scene("thick", seed=5)
+    values = [jax.hessian(lambda s: by_list(grid, rays, t_max)(fields[0] * s, *fields[1:]).sum())(1.0)]
+    assert np.isfinite(values).all()
+    with pytest.raises(NotImplementedError, match="crossing_sum"):
+        jax.hessian(lambda s: by_march(grid, rays, t_max)(fields[0] * s, *fields[1:]).sum())(1.0)
+
+
+def test_geometry_has_no_derivative(x64):
+    grid, rays, t_max, *fields = scene("thin", seed=6)
+
+    def total(rays, grid, t_max):
+        return march(grid, fields[0], fields[1], rays, t_max, fields[2]).sum()
+
+    for leaf in jax.tree.leaves(jax.grad(total, (0, 1, 2))(rays, grid, t_max)):
+        assert not np.asarray(leaf).any()
+
+
+def test_transmittance_and_its_gradient(precision):
+    grid, rays, t_max, extinction, _, _ = scene("mixed", seed=7)
+    extinction = jnp.minimum(extinction, as_float(30.0))
+    got = transmittance(grid, extinction, rays, t_max)
+    lists = crossings(grid, rays, t_max)
+
+    def depth(mu):
+        return jnp.sum(mu.reshape(-1, NODES)[lists.cell] * lists.length[..., None], axis=1)
+
+    limit = 2e-5 if precision == "float32" else 1e-12
+    np.testing.assert_allclose(got, jnp.exp(-depth(extinction)), rtol=limit)
+    weight = as_float(np.random.default_rng(8).normal(size=got.shape))
+    ours = jax.grad(lambda mu: jnp.vdot(weight, transmittance(grid, mu, rays, t_max)))(extinction)
+    theirs = jax.grad(lambda mu: jnp.vdot(weight, jnp.exp(-depth(mu))))(extinction)
+    np.testing.assert_allclose(ours, theirs, atol=limit * float(jnp.abs(theirs).max()))
+    along = jax.jvp(lambda mu: transmittance(grid, mu, rays, t_max), (extinction,), (extinction,))[1]
+    np.testing.assert_allclose(along, -depth(extinction) * got, atol=limit)
+    bent = jax.hessian(lambda s: optical_depth(grid, s * extinction, rays, t_max).sum())(as_float(1.0))
+    assert float(bent) == 0
+
+
+@pytest.mark.parametrize("depth", [0.0, 1e-38, 1e-30, 1e-8, 1e4, 1e30])
+def test_no_nan_at_extreme_depths(depth, precision):
+    grid, rays, t_max, extinction, _, behind = scene("thin", seed=9)
+    extinction = jnp.full_like(extinction, depth)
+    for route in ROUTES.values():
+        radiance, pull = jax.vjp(route(grid, rays, t_max), extinction, extinction * 2, behind)
+        assert np.isfinite(radiance).all()
+        assert all(np.isfinite(x).all() for x in pull(jnp.ones_like(behind)))
+        assert np.isfinite(
+            jax.jvp(route(grid, rays, t_max), (extinction, extinction, behind), (extinction,) * 2 + (behind,))[1]
+        ).all()
+
+
+def test_shapes_that_disagree_are_named():
+    grid, rays, t_max, extinction, emission, behind = scene("thin", count=8)
+    wrong = [
+        ("extinction", lambda: march(grid, extinction[1:], emission, rays, t_max, behind)),
+        ("emission", lambda: march(grid, extinction, emission[..., :1], rays, t_max, behind)),
+        ("t_max", lambda: march(grid, extinction, emission, rays, t_max[1:], behind)),
+        ("behind", lambda: march(grid, extinction, emission, rays, t_max, behind[1:])),
+    ]
+    for field, call in wrong:
+        with pytest.raises(Exception, match=field):  # the type checker of the tests may be first to object
+            call()
+
+
+def test_no_rays_and_one_ray(precision):
+    grid, rays, t_max, *fields = scene("thin", count=5)
+    for count in (0, 1):
+        few = Rays(rays.origin[:count], rays.direction[:count])
+        got = march(grid, fields[0], fields[1], few, t_max[:count], fields[2][:count])
+        assert got.shape == (count, NODES)
+        assert transmittance(grid, fields[0], few, t_max[:count]).shape == (count, NODES)
+
+
+# --- closed forms ---------------------------------------------------------------------------------------------------
+
+
+def uniform(grid, mu, source):
+    field = jnp.full((*grid.shape, 1), mu)
+    return as_float(field), as_float(field * source)
+
+
+@pytest.mark.parametrize("route", ROUTES)
+@pytest.mark.parametrize(
+    "mu, source, depth, want", [(10, 10, 2, (39.9999999, 52.9089653)), (0.01, 1e4, 0.5, (199.500832, 199.451457))]
+)
+def test_gray_box_intensity(route, mu, source, depth, want, precision):
+    """O5: gray box 2 m wide, `depth` deep, 2 m high, under 0 and 30 degrees: I = integral of (1 - exp(-mu l)) B.
+
+    Gauss-Legendre on the three parts of the silhouette, on each of which the path length is linear.
+    """
+    height = 2
+    grid = Grid([-0.5 * depth, -1, 0], [depth / 8, 0.25, height], (8, 8, 1))
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    for angle, expected in zip((0.0, 30.0), want, strict=True):
+        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        half, tilt = c, 0.5 * depth * s
+        edges = [-(half + tilt), -abs(half - tilt), abs(half - tilt), half + tilt]
+        offset = np.concatenate([0.5 * (b - a) * nodes + 0.5 * (a + b) for a, b in zip(edges, edges[1:], strict=False)])
+        area = np.concatenate([0.5 * (b - a) * weights for a, b in zip(edges, edges[1:], strict=False)]) * height
+        start = offset[:, None] * [-s, c, 0] + np.array([c, s, 0]) * 5 + [0, 0, 0.5 * height]
+        rays = parallel_rays(start, [-c, -s, 0])
+        dark = as_float(np.zeros((rays.count, 1)))
+        far = as_float(np.full(rays.count, np.inf))
+        radiance = ROUTES[route](grid, rays, far)(*uniform(grid, as_float(mu), as_float(source)), dark)
+        intensity = np.asarray(radiance[:, 0], float) @ area
+        np.testing.assert_allclose(intensity, expected, rtol=2e-5 if precision == "float32" else 1e-6)
+
+
+@pytest.mark.parametrize("tau, want", [(0.005, 0.00997088535), (0.5, 0.754285382012), (5.0, 1.37709098)])
+def test_slab_with_linear_source(tau, want, x64):
+    """O8: L = B0 (1 - e^-tau) + (B1 - B0) / tau (1 - (1 + tau) e^-tau); cells of the mean source converge as h^2."""
+    errors = []
+    grid = Grid([0, 0, 0], [1 / 400, 1, 1], (400, 1, 1))
+    for cells in (200, 400):  # pairs of equal cells, then all of them different
+        centre = np.repeat((np.arange(cells) + 0.5) / cells, 400 // cells)
+        mu = as_float(np.full((400, 1, 1, 1), tau))
+        j = as_float(tau * (1 + 2 * centre)[:, None, None, None])
+        rays = parallel_rays([[-1, 0.5, 0.5]], [1, 0, 0])
+        for route in ROUTES.values():
+            got = route(grid, rays, as_float([np.inf]))(mu, j, as_float([[0.0]]))
+            errors.append(abs(float(got[0, 0]) / want - 1))
+    assert errors[0] < 2e-4 and errors[2] < 0.26 * errors[0] + 2e-9
+    back = march(grid, mu, j, parallel_rays([[2, 0.5, 0.5]], [-1, 0, 0]), as_float([np.inf]), as_float([[0.0]]))
+    assert float(back[0, 0]) > want * (1 + 1e-4)  # the hot end is now in front
+
+
+@pytest.mark.parametrize("route", ROUTES)
+def test_ramp_medium(route, precision):
+    """O8b: mu = 0.1 x over 4 x 1 x .2 m, B = 100, 5 mm cells: broadside and end-on, exact for these cells."""
+    cells = 800
+    grid = Grid([0, 0, 0], [0.005, 1, 0.2], (cells, 1, 1))
+    mu = as_float((0.1 * 0.005 * (np.arange(cells) + 0.5))[:, None, None, None])
+    centre = 0.005 * (np.arange(cells) + 0.5)
+    start = np.stack([centre, np.full(cells, 0.5), np.full(cells, 1.0)], axis=1)
+    start = np.concatenate([start, [[-1, 0.5, 0.1], [5, 0.5, 0.1]]])
+    direction = np.concatenate([np.tile([0, 0, -1], (cells, 1)), [[1, 0, 0], [-1, 0, 0]]])
+    rays, dark = Rays(as_float(start), as_float(direction)), as_float(np.zeros((cells + 2, 1)))
+    got = ROUTES[route](grid, rays, as_float(np.full(rays.count, np.inf)))(mu, 100 * mu, dark)
+    value = np.asarray(got, float)[:, 0]
+    limit = 1e-5 if precision == "float32" else 1e-9
+    np.testing.assert_allclose(0.005 * value[:cells].sum(), 15.58173209, rtol=limit)
+    np.testing.assert_allclose(0.2 * value[cells:], [11.01342072, 11.01342072], rtol=limit)
+
+
+@pytest.mark.parametrize("t, want", [(0.1, 0.0642319679), (1.0, 0.471517764686), (10.0, 0.98000999)])
+def test_isothermal_sphere(t, want, x64):
+    """O6: mean emissivity over the disc of a gray sphere; staircase cells converge to it."""
+    cells = 100
+    grid = Grid([-1, -1, -1], [2 / cells] * 3, (cells,) * 3)
+    inside = np.linalg.norm(np.asarray(grid.centres()), axis=-1) < 1
+    mu = as_float(np.where(inside, 0.5 * t, 0.0)[..., None])
+    rng = np.random.default_rng(0)
+    radius, angle = np.sqrt((np.arange(4000) + 0.5) / 4000) * 1.05, np.arange(4000) * 2.399963229728653
+    direction = rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    first = np.cross(direction, [0, 0, 1.0])
+    first /= np.linalg.norm(first)
+    start = radius[:, None] * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * np.cross(direction, first))
+    rays = parallel_rays(start - 2 * direction, direction)
+    got = march(grid, mu, mu, rays, as_float(np.full(4000, np.inf)), as_float(np.zeros((4000, 1))))
+    np.testing.assert_allclose(1.05**2 * float(got.mean()), want, rtol=6e-3)
+
+
+@pytest.mark.parametrize("depth", [1e-8, 1e-4, 1e-2, 1.0, 30.0, 1e4])
+def test_many_equal_cells_keep_single_precision(depth, precision):
+    """800 cells in a row of equal optical depth against the closed form, with radiance behind."""
+    grid = Grid([0, 0, 0], [0.25, 1, 1], (800, 1, 1))
+    mu = as_float(np.full((800, 1, 1, 1), depth / 200))
+    rays = parallel_rays([[-1, 0.5, 0.5]], [1, 0, 0])
+    got = march(grid, mu, 3 * mu, rays, as_float([np.inf]), as_float([[0.5]]))
+    exact = 3 * -np.expm1(-800 * 0.25 * float(mu[0, 0, 0, 0])) + 0.5 * np.exp(-200 * float(mu[0, 0, 0, 0]))
+    np.testing.assert_allclose(got[0, 0], exact, rtol=1e-5 if precision == "float32" else 1e-12)

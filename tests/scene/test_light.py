@@ -1,0 +1,166 @@
+"""Lights: samplers against densities, densities against hits, closed forms, bad input."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from chi_square import p_value
+
+from jaxir._arrays import enforce
+from jaxir.geometry import disc_vector, polygon_form_factor
+from jaxir.optics.spectrum import LWIR, MWIR, gray_nodes
+from jaxir.scene.light import DiscSource, ElevationTable, PointSource, PolygonSource, SphereSource
+
+POINT = np.array([0.2, -0.1, 0.3])
+DOWN = np.array([0.0, 0.0, -1.0])
+# clockwise from above, so it shines down; unequal triangles in the fan, one corner on an edge
+PENTAGON = np.array([[-0.5, -0.4, 1.2], [-0.6, 0.1, 1.2], [-0.7, 0.6, 1.2], [0.5, 1.0, 1.2], [0.9, -0.6, 1.2]])
+LIGHTS = {
+    "polygon": PolygonSource(PENTAGON, 100.0),
+    "polygon tilted": PolygonSource([[0.9, -2.0, 2.0], [0.9, 2.0, 2.0], [1.8, 0.0, -2.0]], [1.0, 2.0]),
+    "disc": DiscSource([0.5, 0.5, 1.8], DOWN, 1.0, 100.0),
+    "disc tilted": DiscSource([2.0, 0.0, 0.0], [-0.8, 0.0, 0.6], 1.5, [1.0, 2.0]),
+    "sphere": SphereSource([1.0, 1.0, 1.0], 0.5, 3.0),
+    "sphere around": SphereSource([0.0, 0.0, 0.0], 5.0, 3.0),
+}
+
+
+@pytest.fixture(params=LIGHTS)
+def light(request):
+    return LIGHTS[request.param]
+
+
+def test_density_is_that_of_the_samples(light):
+    point, normal = jnp.asarray(POINT), jnp.asarray(-DOWN)
+    p, total = p_value(
+        lambda u: light.sample(u, point, normal).omega_i,
+        lambda w: light.meet(w, point, normal).pdf,
+        jnp.eye(3),
+        jax.random.key(3),
+    )
+    assert p > 1e-3
+    assert total == pytest.approx(1, abs=0.02)
+
+
+def test_samples_meet_the_light(light, x64):
+    light = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), light)
+    point, normal = jnp.asarray(POINT), jnp.asarray(-DOWN)
+    u = jax.random.uniform(jax.random.key(4), (500, 2))
+    drawn = jax.vmap(lambda u: light.sample(u, point, normal))(u)
+    met = jax.vmap(lambda w: light.meet(w, point, normal))(drawn.omega_i)
+    np.testing.assert_allclose(np.linalg.norm(drawn.omega_i, axis=-1), 1, rtol=1e-12)
+    np.testing.assert_allclose(met.distance, drawn.distance, rtol=1e-6)
+    np.testing.assert_allclose(met.pdf, drawn.pdf, rtol=1e-6)
+
+
+def test_irradiance_from_a_disc_is_its_form_factor(x64):
+    """O3 by sampling the light: mean of cos / pdf within 4 standard errors of pi V."""
+    disc = DiscSource([0.5, 0.5, 1.8], DOWN, 1.0, 100.0)
+    point, normal = jnp.asarray(POINT), jnp.asarray(-DOWN)
+    u = jax.random.uniform(jax.random.key(5), (40000, 2))
+    drawn = jax.vmap(lambda u: disc.sample(u, point, normal))(u)
+    value = np.asarray(drawn.omega_i / drawn.pdf[:, None])
+    error = value.std(axis=0) / np.sqrt(len(u))
+    want = np.pi * np.asarray(disc_vector(point, disc.centre, disc.normal, disc.radius))
+    assert np.all(np.abs(value.mean(axis=0) - want) < 4 * error)
+    assert np.all(error < 0.01 * np.linalg.norm(want))
+
+
+def test_irradiance_from_a_polygon_is_its_form_factor(x64):
+    """By sampling the light: mean of cos / pdf within 4 standard errors of pi F, also where the horizon cuts it."""
+    polygon, point, normal = PolygonSource(PENTAGON, 100.0), jnp.asarray(POINT), jnp.asarray(-DOWN)
+    u = jax.random.uniform(jax.random.key(6), (40000, 2))
+    drawn = jax.vmap(lambda u: polygon.sample(u, point, normal))(u)
+    for receiver in (np.array([0.0, 0.0, 1.0]), np.array([0.96, 0.0, 0.28])):
+        cos = np.asarray(drawn.omega_i) @ receiver
+        value = np.maximum(cos, 0) / np.asarray(drawn.pdf)
+        error = value.std() / np.sqrt(len(u))
+        want = np.pi * float(polygon_form_factor(point, jnp.asarray(receiver), polygon.corners))
+        assert (cos < 0).any() == (receiver[2] < 1)
+        assert abs(value.mean() - want) < 4 * error
+        assert error < 0.01 * want
+
+
+def test_point_source_falls_with_the_square(precision):
+    lamp = PointSource([0.0, 0.0, 2.0], [8.0, 4.0])
+    np.testing.assert_allclose(lamp.on(gray_nodes((MWIR, LWIR))).beam(jnp.zeros(3)), [2.0, 1.0], rtol=1e-6)
+    omega_i, distance = lamp.toward(jnp.zeros(3))
+    np.testing.assert_allclose(omega_i, [0, 0, 1])
+    assert distance == 2
+
+
+@pytest.mark.parametrize("where", ["at", "inside", "behind", "edge-on"])
+def test_awkward_points_give_no_light_and_finite_gradients(where, precision):
+    """At the light itself, inside a ball, behind a disc, in a disc's plane."""
+    lamp, disc, ball, plate = (
+        PointSource([0.0, 0, 1], 1.0),
+        DiscSource([0.0, 0, 1], DOWN, 1.0, 1.0),
+        SphereSource([0.0, 0, 1], 0.5, 1.0),
+        PolygonSource([[0.0, 0, 1], [0, 1, 1], [1, 0, 1]], 1.0),
+    )
+    point = jnp.asarray(
+        {"at": [0, 0, 1.0], "inside": [0.1, 0, 1.1], "behind": [0, 0, 2.0], "edge-on": [3.0, 0, 1]}[where]
+    )
+
+    nodes, normal = gray_nodes((MWIR,)), jnp.asarray(-DOWN)
+
+    def light(lamp, disc, ball, plate, point):
+        u = jnp.asarray([0.3, 0.6])
+        total = jnp.sum(lamp.on(nodes).beam(point)) + jnp.sum(lamp.toward(point)[0])
+        for source in (disc, ball, plate):
+            drawn = source.sample(u, point, normal)
+            met = source.meet(jnp.asarray([0.0, 0.6, 0.8]), point, normal)
+            total = total + drawn.pdf + met.pdf + jnp.sum(drawn.omega_i) + drawn.distance
+            total = total + jnp.where(jnp.isfinite(met.distance), met.distance, 0)
+        return total
+
+    value, gradient = jax.value_and_grad(light, argnums=(0, 1, 2, 3, 4))(lamp, disc, ball, plate, point)
+    assert np.isfinite(value)
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
+    if where in ("behind", "edge-on", "at"):
+        assert disc.sample(jnp.asarray([0.3, 0.6]), point, normal).pdf == 0
+        assert plate.sample(jnp.asarray([0.3, 0.6]), point, normal).pdf == 0
+    if where == "at":
+        assert np.all(np.asarray(lamp.on(nodes).beam(point)) == 0)
+
+
+def test_bad_lights_are_refused():
+    zero = jnp.zeros(1)
+    with pytest.raises(ValueError, match="DiscSource.radius"):
+        enforce(zero, DiscSource(POINT, DOWN, 0.0, 1.0).checks())
+    with pytest.raises(ValueError, match="length 1"):
+        enforce(zero, DiscSource(POINT, [0.0, 0.0, 2.0], 1.0, 1.0).checks())
+    with pytest.raises(ValueError, match="SphereSource.radius"):
+        enforce(zero, SphereSource(POINT, -1.0, 1.0).checks())
+    with pytest.raises(ValueError, match="PolygonSource.corners: got 2 corners"):
+        PolygonSource([[0.0, 0, 0], [1, 0, 0]], 1.0)
+    square = np.array([[0.0, 0, 1], [0, 1, 1], [1, 1, 1], [1, 0, 1]])
+    for corners, wrong in [
+        (square + [[0, 0, 0], [0, 0, 0.01], [0, 0, 0], [0, 0, 0]], "in one plane"),
+        (square * [1.0, 0.0, 1.0], "span an area"),
+        (square[[0, 2, 1, 3]], "span an area"),
+        (np.array([[0.0, 0, 1], [0, 1, 1], [0.1, 0.1, 1], [1, 0, 1]]), "a convex polygon"),
+    ]:
+        with pytest.raises(ValueError, match=wrong):
+            enforce(zero, PolygonSource(corners, 1.0).checks())
+    enforce(zero, PolygonSource(PENTAGON + [[1e3, 0, 0]], 1.0).checks())
+    with pytest.raises(ValueError, match="PolygonSource.radiance"):
+        enforce(zero, PolygonSource(square, -1.0).checks())
+    with pytest.raises(ValueError, match="intensity"):
+        enforce(zero, PointSource(POINT, [1.0, -1.0]).checks())
+    with pytest.raises(ValueError, match="PointSource.position"):
+        PointSource([0.0, 1.0], 1.0)
+    with pytest.raises(ValueError, match=r"SphereSource.radiance: got shape \(2, 2\), expected \(node,\)"):
+        SphereSource(POINT, 1.0, np.ones((2, 2)))
+
+
+def test_sky_and_earth_by_elevation(precision):
+    sky = ElevationTable([-90.0, 0.0, 0.0, 90.0], [[4.0], [4.0], [2.0], [1.0]]).on(gray_nodes((MWIR,)))
+    look = lambda e: jnp.asarray([np.cos(np.deg2rad(e)), 0.0, np.sin(np.deg2rad(e))])  # noqa: E731
+    for elevation, radiance in [(-90, 4.0), (-1, 4.0), (1, 2 - 1 / 90), (45, 1.5), (90, 1.0)]:
+        np.testing.assert_allclose(sky.arriving(look(elevation)), [radiance], rtol=1e-5)
+        assert np.all(np.isfinite(jax.grad(lambda w: sky.arriving(w)[0])(look(elevation))))
+    with pytest.raises(ValueError, match="do not decrease"):
+        enforce(jnp.zeros(1), ElevationTable([10.0, 0.0], [1.0, 1.0]).checks())
+    with pytest.raises(ValueError, match=r"ElevationTable.radiance: got shape \(1, 1\), expected \(2, node\)"):
+        ElevationTable([0.0, 1.0], [1.0])

@@ -1,0 +1,66 @@
+"""Every study has one shape, and the frame of studies writes what it says."""
+
+import argparse
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from studies import _study
+
+ROOT = Path(__file__).parents[1]
+STUDIES = sorted(path for path in (ROOT / "studies").glob("*.py") if "\n    study(main" in path.read_text())
+
+
+def test_the_readme_names_every_study():
+    text = (ROOT / "README.md").read_text()
+    assert len(STUDIES) > 20
+    assert [path.stem for path in STUDIES if f"`studies.{path.stem}" not in text] == []
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
+def test_a_study_asks_a_question_and_returns_its_answer(path):
+    tree = ast.parse(path.read_text())
+    assert "?" in ast.get_docstring(tree).split("\n")[0]
+    main = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "main")
+    assert ast.unparse(main.args) == "run: Run" and ast.unparse(main.returns) == "str"
+    assert isinstance(tree.body[-1], ast.If) and len(tree.body[-1].body) == 1
+    printed = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id in ("plt", "csv")]
+    assert not printed  # tables and charts go through the frame
+
+
+def _parser():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--full", action="store_true")
+    parser.add_argument("--out", type=Path)
+    return parser
+
+
+def test_only_the_published_command_writes_to_the_figures():
+    published = _study.run_of("x", _parser(), ["--full"], "--full")
+    other = _study.run_of("x", _parser(), [], "--full")
+    assert published.figures == _study.FIGURES
+    assert other.figures == other.folder == published.folder == _study.HERE / "out" / "x"
+
+
+def test_tables_charts_and_records_are_written_where_asked(tmp_path):
+    run = _study.run_of("x", _parser(), ["--out", str(tmp_path / "new")])
+    run.table([{"name": "a", "count": 123456, "value": 1 / 3}])
+    run.table([{"value": 1 / 3}], "y", digits=None)
+    figure, axes = _study.subplots(1, 2, figsize=(2, 1))
+    axes[0].plot([0, 1], [0, 1])
+    run.chart(figure)
+    run.record({"a": 1})
+    assert [path.name for path in run.written] == ["x.csv", "y.csv", "x.png", "x.json"]
+    assert all(path.parent == tmp_path / "new" and path.stat().st_size for path in run.written)
+    assert (tmp_path / "new" / "x.csv").read_text().splitlines()[1] == "a,123456,0.3333"
+    assert float((tmp_path / "new" / "y.csv").read_text().splitlines()[1]) == 1 / 3
+    assert run.bulk("deep", "er").is_dir()
+
+
+def test_help_is_the_question():
+    command = [sys.executable, "-m", "studies.plate", "--help"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and "plate right at every angle?" in done.stdout

@@ -1,0 +1,87 @@
+"""What once was lost or doubled without a word: bounces, hidden backgrounds, backgrounds that are one object."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir.optics.spectrum import gray_nodes
+
+NODES = gray_nodes((jaxir.LWIR,))
+SQUARE = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
+TWO = np.array([[0, 1, 2], [0, 2, 3]])
+COLD = 3.0
+
+
+def rays_down(count, height):
+    x = 0.8 * ((np.arange(count) + 0.5) / count - 0.5)
+    points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+    origin = jnp.asarray(np.column_stack([points, np.full(len(points), height)]))
+    return jaxir.Rays(origin, jnp.broadcast_to(jnp.asarray([0.0, 0.0, -1.0]), origin.shape))
+
+
+def plate(emissivity, temperature=COLD):
+    return jaxir.Skin(jaxir.Mesh(SQUARE, TWO), temperature, jaxir.Lambert(emissivity))
+
+
+def facing_plates(emissivity, temperature):
+    """Two plates ten times as wide as far apart: between their middles nearly an enclosure."""
+    wide = np.concatenate([10 * SQUARE, 10 * SQUARE + [0.0, 0.0, 1.0]])
+    mesh = jaxir.Mesh(wide, np.concatenate([TWO, TWO + 4]))
+    return jaxir.Skin(mesh, temperature, jaxir.Lambert(emissivity))
+
+
+def test_paths_keep_their_bounces():
+    """Evaluated without a word of the method: emissivity B times the sum of rho^k, less what leaves at the rim."""
+    emissivity, bounces = 0.3, 3
+    scene = jaxir.Scene(facing_plates(emissivity, 400.0))
+    paths = jaxir.trace(scene, rays_down(48, 0.5), jaxir.Method(bounces=bounces), jax.random.key(0))
+    got = np.asarray(jaxir.evaluate(scene.on(NODES), paths)[:, 0], float)
+    black = float(jaxir.band_radiance(jnp.asarray(400.0), NODES)[0])
+    full = black * (1 - (1 - emissivity) ** (bounces + 1))
+    error = got.std() / np.sqrt(got.size)
+    assert error < 0.01 * full
+    assert 0.95 * full - 4 * error < got.mean() < full + 4 * error
+    assert paths.method.bounces == bounces
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_background_that_is_also_a_source_lights_once_for_each(compiled):
+    """One object given twice is two lights, eagerly as under jit."""
+    sky = jaxir.UniformBackground(10.0)
+    scene = jaxir.Scene(plate(0.5), sources=(sky,), background=sky)
+
+    def look(scene):
+        paths = jaxir.trace(scene, rays_down(4, 0.5), key=jax.random.key(1))
+        return jaxir.evaluate(scene.on(NODES), paths)[:, 0]
+
+    got = (jax.jit(look) if compiled else look)(scene)
+    np.testing.assert_allclose(got, 0.5 * 2 * 10.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("light", ["uniform", "by elevation"])
+def test_a_hidden_background_lights_the_skin_by_default(light):
+    hidden = {
+        "uniform": jaxir.UniformBackground(12.0),
+        "by elevation": jaxir.ElevationTable([-90.0, 90.0], [12.0, 12.0]),
+    }[light]
+    scene = jaxir.Scene(plate(0.5), sources=hidden)
+    camera = jaxir.orthographic_camera(0.0, 90.0, 0.02, (16, 16))
+    image = jaxir.render(scene, camera, jaxir.LWIR, samples=2)
+    np.testing.assert_allclose(image.radiance, np.full((16, 16, 1), 6.0), rtol=1e-5)
+    left_out = jaxir.render(scene, camera, jaxir.LWIR, samples=2, method=jaxir.Method(direct=None))
+    assert float(jnp.abs(left_out.radiance).max()) < 1e-10
+
+
+def test_no_random_key_is_used_twice():
+    """JAX's own check: a key that was drawn from or split is neither drawn from nor split again."""
+    disc = jaxir.DiscSource([0.0, 0.0, 2.0], [0.0, 0.0, -1.0], 0.5, 10.0)
+    grid = jaxir.Grid((-0.5, -0.5, 0.2), (0.5, 0.5, 0.5), (2, 2, 1))
+    particles = jaxir.GrayParticles(0.5, 0.9, jaxir.Isotropic())
+    scene = jaxir.Scene(plate(0.5), jaxir.GridPlume(grid, 400.0, jaxir.GrayGas(0.1), particles), disc)
+    method = jaxir.Method(bounces=1, orders=2, skin_light=jaxir.SkinLight(), plume_light=jaxir.PlumeLight())
+    with jax.debug_key_reuse(True):
+        traced = eqx.filter_jit(lambda key: jaxir.trace(scene, rays_down(2, 1.5), method, key))(jax.random.key(3))
+    assert traced.segments.length.shape == (3, 4)
