@@ -120,7 +120,7 @@ def test_a_scene_on_the_same_nodes(raw_table, paths):
     kelvin, pressure, amount = (np.array(column)[::-1, None, None] for column in list(zip(*layers, strict=True))[:3])
     gas = jaxir.CorrelatedK([raw_table], pressure, {"CO2": amount})
     plume = jaxir.GridPlume(jaxir.Grid((-0.25, -1.0, -1.0), (0.25, 2.0, 2.0), (2, 1, 1)), kelvin, gas)
-    scene = jaxir.Scene(plume=plume, atmosphere=paths("level", 1500.0))
+    scene = jaxir.Scene(plumes=plume, atmosphere=paths("level", 1500.0))
     rays = Rays(jnp.asarray([[5.0, 0.0, 0.0]]), jnp.asarray([[-1.0, 0.0, 0.0]]))
     seen = eqx.filter_jit(lambda s, n: jaxir.evaluate(s.on(n), jaxir.trace(s, rays)))(scene, NODES)
     path = paths("level", 1500.0)

@@ -134,7 +134,7 @@ def test_a_plume_behind_air_needs_more_than_one_node():
     grid = jaxir.Grid((-1.0, -0.5, -0.5), (1.0, 1.0, 1.0), (2, 1, 1))
     gas = jaxir.NarrowBandGas(3e4, h2o=0.0754, co2=0.063)
     air = jaxir.StandardAtmosphere(10e3, 10e3, 5e3)
-    scene = jaxir.Scene(plume=jaxir.GridPlume(grid, np.array([900.0, 1400.0])[:, None, None], gas), atmosphere=air)
+    scene = jaxir.Scene(plumes=jaxir.GridPlume(grid, np.array([900.0, 1400.0])[:, None, None], gas), atmosphere=air)
     paths = jaxir.trace(scene, Rays(jnp.asarray([[5.0, 0.0, 0.0]]), jnp.asarray([[-1.0, 0.0, 0.0]])))
     found = {}
 

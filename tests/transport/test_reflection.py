@@ -380,7 +380,7 @@ def test_slopes_under_bounces_are_those_of_the_expected_intensity():
 
     Ten bounces, 5 scenes: 20 slopes, one in 100 runs of the family may fail.
     """
-    method, repeats, step = Method(DirectSampling(), bounces=10), 2, 0.04
+    method, repeats, step = Method(DirectSampling(), bounces=10), 4, 0.04
     at = jnp.asarray([0.3, 0.5, 0.7, 0.4])
 
     def intensity(seed, values, key):
