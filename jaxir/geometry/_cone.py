@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from jaxir._math import safe_sqrt
+
 FLAT = 1e-6  # a ray whose slope differs by less from an axis's or a cone's does not meet it within any length of use
 
 
@@ -105,7 +107,7 @@ def inside_cone(
     flat = jnp.abs(a) < FLAT
     steep = (a < 0) | flat
     meets = steep | (discriminant > 0)
-    root = jnp.where(discriminant > 0, jnp.sqrt(jnp.where(discriminant > 0, discriminant, 1)), 0)
+    root = safe_sqrt(discriminant)
     q = -(b + jnp.where(b < 0, -1, 1) * root)
     first = c / jnp.where(q == 0, 1, q)
     second = jnp.where(flat, first, q / jnp.where(flat, 1, a))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxir._math import dot
+from jaxir._math import dot, safe_sqrt
 from jaxir.geometry._sampling import polygon_vector
 
 
@@ -66,7 +66,7 @@ def disc_above(
     """Whether the whole disc lies above the horizon of a receiver at `point` with unit normal `receiver`."""
     cos = dot(receiver, normal)
     square = (1 - cos) * (1 + cos)
-    sine = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    sine = safe_sqrt(square)
     return dot(centre - point, receiver) >= radius * sine
 
 

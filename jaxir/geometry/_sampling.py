@@ -18,7 +18,7 @@ from jax import lax
 from jaxtyping import Array, Float, Key, UInt32
 
 from jaxir._arrays import float_dtype
-from jaxir._math import dot, frame_around
+from jaxir._math import dot, frame_around, safe_sqrt
 
 # Directions -----------------------------------------------------------------------------------------------------------
 
@@ -71,7 +71,7 @@ def sphere_drop(point: Float[Array, " 3"], centre: Float[Array, " 3"], radius: F
 def turned(cos: Float[Array, ""], turn: Float[Array, ""], axis: Float[Array, " 3"]) -> Float[Array, " 3"]:
     """The direction [3] whose angle with the axis has the cosine `cos`, `turn` of a full turn around it."""
     square = (1 - cos) * (1 + cos)
-    sine = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    sine = safe_sqrt(square)
     angle = 2 * jnp.pi * turn
     return jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), cos]) @ frame_around(axis)
 

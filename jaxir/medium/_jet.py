@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
 from jaxir.geometry import Rays
@@ -114,21 +114,6 @@ class JetMedium(AbstractMedium):
     def scatters(self) -> bool:
         """See `AbstractMedium.scatters`."""
         return self.phase is not None
-
-    @property
-    def beam_points(self) -> tuple[Float[Array, "point 3"], Bool[Array, " point"]]:
-        """See `AbstractMedium.beam_points`; beams are sampled, so nobody asks."""
-        raise NotImplementedError("JetMedium: beams are sampled where paths are scattered")
-
-    def in_scattered(
-        self,
-        irradiance: Float[Array, "point node"],
-        cosine: Float[Array, " ray"],
-        rays: Rays,
-        t_max: Float[Array, " ray"],
-    ) -> Float[Array, "ray node"]:
-        """See `AbstractMedium.in_scattered`; beams are sampled, so nobody asks."""
-        raise NotImplementedError("JetMedium: beams are sampled where paths are scattered")
 
 
 def tabulated_jet(

@@ -23,6 +23,7 @@ from jaxir.optics import across_layer, thinning
 COMPUTED = 256  # knots at which the optics are computed, 7 K apart between 300 and 2000 K
 BETWEEN = 4  # knots of the table for each interval of those
 KNOTS = BETWEEN * (COMPUTED - 1)  # intervals of the table; see `tabulated_jet` for what they err
+GAUSS = (0.5 - 3**-0.5 / 2, 0.5 + 3**-0.5 / 2)  # the two points of a panel, as shares of it
 _DARK = 1e-18  # the inverse square of what is smaller overflows in float32
 _EXTRAPOLATE = 3**-0.5 - 0.5
 

@@ -18,8 +18,7 @@ from jaxtyping import Array, Bool, Float
 from jaxir._arrays import as_float
 from jaxir._math import safe_sqrt
 from jaxir.geometry import FLAT, AxisView, Rays, inside_cone, view_from_axis
-
-_GAUSS = np.array([0.5 - 3**-0.5 / 2, 0.5 + 3**-0.5 / 2])
+from jaxir.medium._jet_layers import GAUSS
 
 
 class JetShape(eqx.Module):
@@ -178,7 +177,7 @@ def gauss_points(shape: JetShape, chord: Chord) -> tuple[Float[Array, "panel 2 r
 
     The core is one panel.
     """
-    shares = as_float((np.arange(shape.panels)[:, None] + _GAUSS[None, :]) / shape.panels)
+    shares = as_float((np.arange(shape.panels)[:, None] + np.array(GAUSS)[None, :]) / shape.panels)
 
     def piece(begin: Array, end: Array) -> tuple[Array, Array]:
         spread = _spread(shape, chord.view, begin, end)

@@ -79,11 +79,10 @@ class AbstractMedium(eqx.Module):
         """Whether there are particles in it."""
 
     @property
-    @abc.abstractmethod
     def beam_points(self) -> tuple[Float[Array, "point 3"], Bool[Array, " point"]]:
         """Where `in_scattered` asks for the irradiance of a beam [point, 3] [m], and where that matters [point]."""
+        raise NotImplementedError(f"{type(self).__name__}: beams are sampled where paths are scattered")
 
-    @abc.abstractmethod
     def in_scattered(
         self,
         irradiance: Float[Array, "point node"],
@@ -93,7 +92,7 @@ class AbstractMedium(eqx.Module):
     ) -> Float[Array, "ray node"]:
         """Light of a beam scattered once towards the rays' origins [ray, node] [W m-2 sr-1], summed without samples.
 
-        Media of plumes with `AbstractPlume.sums_beams` alone are asked for it.
+        Media of plumes with `AbstractPlume.sums_beams` alone have it and `beam_points`, and are asked for them.
 
         integral exp(-depth) scattering phase(cosine) irradiance dt
 
@@ -103,6 +102,7 @@ class AbstractMedium(eqx.Module):
             rays: the rays.
             t_max: where they end [ray] [m].
         """
+        raise NotImplementedError(f"{type(self).__name__}: beams are sampled where paths are scattered")
 
 
 class MediumOptics(NamedTuple):

@@ -17,14 +17,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxir.geometry import Rays
 from jaxir.medium._active import for_active
-from jaxir.medium._jet_layers import front_of_panel
+from jaxir.medium._jet_layers import GAUSS, front_of_panel
 from jaxir.medium._medium import AbstractMedium, Capsules
-
-_GAUSS = (0.5 - 3**-0.5 / 2, 0.5 + 3**-0.5 / 2)
 
 
 class MediumSum(AbstractMedium):
@@ -78,21 +76,6 @@ class MediumSum(AbstractMedium):
         """See `AbstractMedium.scatters`."""
         return any(part.scatters for part in self.parts)
 
-    @property
-    def beam_points(self) -> tuple[Float[Array, "point 3"], Bool[Array, " point"]]:
-        """See `AbstractMedium.beam_points`; beams are sampled, so nobody asks."""
-        raise NotImplementedError("MediumSum: beams are sampled where paths are scattered")
-
-    def in_scattered(
-        self,
-        irradiance: Float[Array, "point node"],
-        cosine: Float[Array, " ray"],
-        rays: Rays,
-        t_max: Float[Array, " ray"],
-    ) -> Float[Array, "ray node"]:
-        """See `AbstractMedium.in_scattered`; beams are sampled, so nobody asks."""
-        raise NotImplementedError("MediumSum: beams are sampled where paths are scattered")
-
     def _layer(self, rays: Rays, t: Array, half: Array) -> tuple[Array, Array]:
         """Extinction and emission at one point of each ray, times half the length of its panel [ray, node]."""
         extinction, emission = self.coefficients(rays.at(t))
@@ -112,4 +95,4 @@ def merged_cuts(each: Sequence[Float[Array, "ray _cut"]]) -> Float[Array, "ray c
 def _points(cuts: Float[Array, "ray cut"]) -> tuple[Float[Array, "panel 2 ray"], Float[Array, "panel ray"]]:
     """Distances of the two points of all panels, near to far, and half the panels' lengths [m]."""
     begin, length = cuts[:, :-1].T, jnp.diff(cuts, axis=1).T
-    return begin[:, None] + jnp.stack([length * share for share in _GAUSS], axis=1), length / 2
+    return begin[:, None] + jnp.stack([length * share for share in GAUSS], axis=1), length / 2

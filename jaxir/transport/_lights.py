@@ -175,25 +175,26 @@ class _Plume(SampledLight):
 
 def lights_at_skin(scene: Scene, method: Method) -> tuple[SampledLight, ...]:
     """What is sampled from points of the skin, in the order in which `Vertex.lights` has it."""
-    if sum(method.counts) == 0:
-        return ()
-    found: list[SampledLight] = [_Source(light) for light in scene.extended_lights]
-    if method.skin_light is not None and scene.skin is not None:
-        found.append(_Skin(scene.skin, method.skin_light.exponent))
     plume, light = scene.plume, method.plume_light
-    if plume is not None and light is not None:
-        found.append(_Plume(lambda: plume.pieces(light.exponent)))
-    return tuple(found)
+    found = _with_skin(scene, method, scene.extended_lights)
+    if plume is None or light is None:
+        return found
+    return (*found, _Plume(lambda: plume.pieces(light.exponent)))
 
 
 def lights_at_particles(scene: Scene, method: Method) -> tuple[SampledLight, ...]:
     """What is sampled where particles scatter: surroundings and plume are met by the segments that leave there."""
+    return _with_skin(scene, method, scene.area_sources)
+
+
+def _with_skin(scene: Scene, method: Method, sources: tuple[AbstractExtendedLight, ...]) -> tuple[SampledLight, ...]:
+    """Sources, and the skin where it is looked for; nothing where nothing is sampled."""
     if sum(method.counts) == 0:
         return ()
-    found: list[SampledLight] = [_Source(light) for light in scene.area_sources]
-    if method.skin_light is not None and scene.skin is not None:
-        found.append(_Skin(scene.skin, method.skin_light.exponent))
-    return tuple(found)
+    found = tuple(_Source(light) for light in sources)
+    if method.skin_light is None or scene.skin is None:
+        return found
+    return (*found, _Skin(scene.skin, method.skin_light.exponent))
 
 
 def emitted(lit: Lit, face: Int[Array, " ray"], cos_o: Float[Array, " ray"]) -> Float[Array, "ray node"]:

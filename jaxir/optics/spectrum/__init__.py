@@ -11,7 +11,6 @@ from jaxir.optics.spectrum._band import bin_edges as bin_edges
 from jaxir.optics.spectrum._band import bins_inside as bins_inside
 from jaxir.optics.spectrum._band import build_nodes as build_nodes
 from jaxir.optics.spectrum._band import gray_nodes as gray_nodes
-from jaxir.optics.spectrum._band import over_nodes as over_nodes
 from jaxir.optics.spectrum._band import quantile_index as quantile_index
 from jaxir.optics.spectrum._band import sensor_band as sensor_band
 from jaxir.optics.spectrum._band import wavelength_to_wavenumber as wavelength_to_wavenumber

@@ -129,30 +129,6 @@ class Nodes(eqx.Module):
         return radiance @ (self.response * self.weight[None, :]).T
 
 
-def over_nodes(field: str, value: Float[Array, " n"], nodes: Nodes) -> Float[Array, " node"]:
-    """A spectral leaf [node or 1] spread over the nodes.
-
-    Args:
-        field: name for the error message.
-        value: [node or 1].
-        nodes: the spectral axis.
-
-    Returns:
-        [node].
-
-    Raises:
-        ValueError: another length.
-
-    Differentiable in `value`.
-    """
-    if value.shape not in ((1,), (nodes.count,)):
-        raise ValueError(
-            f"{field}: got {value.shape[0]} spectral values, expected 1 or {nodes.count}, one for each node "
-            f"of the bands {nodes.names}"
-        )
-    return jnp.broadcast_to(value, (nodes.count,))
-
-
 def quantile_index(species: str) -> int:
     """Which of a node's two quantiles orders the lines of a species: the first for CO2, the second for all others.
 

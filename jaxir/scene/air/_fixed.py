@@ -5,8 +5,8 @@ from __future__ import annotations
 from jaxtyping import Array, Float
 
 from jaxir._arrays import fraction
-from jaxir._fields import spectral
-from jaxir.optics.spectrum import Nodes, over_nodes
+from jaxir._fields import over_nodes, spectral
+from jaxir.optics.spectrum import Nodes
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
 
 
@@ -25,7 +25,5 @@ class FixedPath(AbstractAtmosphere):
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`."""
-        return AirPath(
-            over_nodes("FixedPath.transmittance", self.transmittance, nodes),
-            over_nodes("FixedPath.path_radiance", self.path_radiance, nodes),
-        )
+        own = over_nodes(self, nodes.count, nodes.names)
+        return AirPath(own.transmittance, own.path_radiance)

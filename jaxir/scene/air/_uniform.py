@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import non_negative, positive
-from jaxir._fields import quantity, spectral
-from jaxir.optics.spectrum import Nodes, band_radiance, over_nodes
+from jaxir._fields import over_nodes, quantity, spectral
+from jaxir.optics.spectrum import Nodes, band_radiance
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
 
 
@@ -28,7 +28,7 @@ class UniformAtmosphere(AbstractAtmosphere):
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`."""
-        depth = self.distance * over_nodes("UniformAtmosphere.extinction", self.extinction, nodes)
+        depth = self.distance * over_nodes(self, nodes.count, nodes.names).extinction
         added = jnp.zeros_like(depth)
         if self.temperature is not None:
             added = -jnp.expm1(-depth) * band_radiance(self.temperature, nodes)
