@@ -5,6 +5,7 @@ and how. Fits are in `jaxir.fit`, files in `jaxir.io`.
 """
 
 # isort: off
+from jaxir._cache import compilation_cache as compilation_cache
 from jaxir._process import native_loops as native_loops
 
 # A scene

@@ -1,9 +1,10 @@
 """Arrays and checks shared by every floor of the house.
 
-Two rules live here. Every physical field becomes a floating array in its constructor, so that a new value never
-recompiles and every field has a gradient. Every range check is one `Check`; all checks of one entry are enforced
-together: eagerly with the field, the value and the place when the values are known, as one `eqx.error_if` when they
-are traced.
+Three rules live here. Every physical field becomes a floating array in its constructor, so that a new value never
+recompiles and every field has a gradient. What is known is checked and set up by numpy on the host: as operations of
+JAX each of those steps would be a program of its own to compile. Every range check is one `Check`; all checks of one
+entry are enforced together: at once with the field, the value and the place where the values are known, as one
+`eqx.error_if` inside a user's own jit, where they are not.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Key
 
 T = TypeVar("T")
 
@@ -23,6 +24,47 @@ T = TypeVar("T")
 def float_dtype() -> np.dtype:
     """The floating dtype in force: float32, or float64 when the user enabled x64."""
     return np.dtype(jnp.result_type(float))
+
+
+def known(value: Any) -> np.ndarray | None:
+    """The values of an array on the host, also below `jax.grad` and `jax.vmap`; None where jit has not got them yet.
+
+    Axes over which `jax.vmap` maps come first.
+    """
+    if not isinstance(value, jax.core.Tracer):
+        return np.asarray(value)
+    if hasattr(value, "primal"):  # of forward and reverse mode
+        return known(value.primal)
+    if not hasattr(value, "batch_dim"):
+        return None
+    inner, axis = known(value.val), value.batch_dim
+    if inner is None or not isinstance(axis, int):  # not mapped over
+        return inner
+    return np.moveaxis(inner, axis + inner.ndim - np.ndim(value.val), 0)
+
+
+def on_host(*values: Any) -> tuple[Any, ...]:
+    """numpy and values for it where all of them are known as they are, else `jax.numpy` and the values."""
+    if any(isinstance(value, jax.core.Tracer) for value in values):
+        return jnp, *values
+    return np, *(np.asarray(value) for value in values)
+
+
+def placed(value: Any) -> Array:
+    """An array of numpy on the device, as it is, by no program; others unchanged."""
+    return jax.device_put(value) if isinstance(value, np.ndarray | np.generic) else value
+
+
+def broadcast(value: Array, shape: tuple[int, ...]) -> Array:
+    """`value` repeated to `shape`."""
+    xp, x = on_host(value)
+    return placed(xp.broadcast_to(x, shape))
+
+
+def reshaped(value: Array, shape: tuple[int, ...]) -> Array:
+    """`value` in another shape."""
+    xp, x = on_host(value)
+    return placed(xp.reshape(x, shape))
 
 
 def as_float(value: Any, field: str = "value") -> Array:
@@ -38,10 +80,23 @@ def as_float(value: Any, field: str = "value") -> Array:
     Raises:
         ValueError: `value` is not numeric.
     """
+    dtype = float_dtype()
+    if isinstance(value, jax.Array) and (isinstance(value, jax.core.Tracer) or value.dtype == dtype):
+        return jnp.asarray(value, dtype)
     try:
-        return jnp.asarray(value, dtype=float_dtype())
+        given = np.asarray(value)
+        if given.dtype.kind in "biuf":
+            return jax.device_put(given.astype(dtype))
+        return jnp.asarray(value, dtype)  # numbers of other kinds, and errors
+    except jax.errors.TracerArrayConversionError:  # a sequence with traced numbers
+        return jnp.asarray(value, dtype)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{field}: got {value!r}, expected a number or an array of numbers") from error
+
+
+def key_or_default(key: Key[Array, ""] | None) -> Key[Array, ""]:
+    """The random key, by default always the same."""
+    return jax.random.key(jax.device_put(np.uint32(0))) if key is None else key
 
 
 def require_shape(field: str, array: Array, expected: tuple[int | str, ...]) -> None:
@@ -58,51 +113,79 @@ class Check(NamedTuple):
     """One range check: `ok` holds elementwise for `value` of `field`, else `expected` says what was wanted."""
 
     field: str
-    value: Array
-    ok: Array
+    value: Array | np.ndarray
+    ok: Array | np.ndarray
     expected: str
+
+
+def _values(value: Any) -> tuple[Any, Any]:
+    """numpy and the values where they are known, else `jax.numpy` and the array."""
+    here = known(value)
+    return (jnp, value) if here is None else (np, here)
 
 
 def finite(field: str, value: Array) -> Check:
     """`value` has no NaN and no infinity."""
-    return Check(field, value, jnp.isfinite(value), "finite values")
+    xp, x = _values(value)
+    return Check(field, x, xp.isfinite(x), "finite values")
 
 
 def positive(field: str, value: Array) -> Check:
     """`value` is finite and > 0."""
-    return Check(field, value, jnp.isfinite(value) & (value > 0), "finite values > 0")
+    xp, x = _values(value)
+    return Check(field, x, xp.isfinite(x) & (x > 0), "finite values > 0")
 
 
 def non_negative(field: str, value: Array) -> Check:
     """`value` is finite and >= 0."""
-    return Check(field, value, jnp.isfinite(value) & (value >= 0), "finite values >= 0")
+    xp, x = _values(value)
+    return Check(field, x, xp.isfinite(x) & (x >= 0), "finite values >= 0")
 
 
 def fraction(field: str, value: Array) -> Check:
     """`value` lies in [0, 1]."""
-    return Check(field, value, (value >= 0) & (value <= 1), "values in [0, 1]")
+    _, x = _values(value)
+    return Check(field, x, (x >= 0) & (x <= 1), "values in [0, 1]")
+
+
+def below(field: str, value: Array, limit: float, unit: str) -> Check:
+    """The size of `value` is less than a limit."""
+    xp, x = _values(value)
+    return Check(field, x, xp.abs(x) < limit, f"values below {limit:g} {unit}")
 
 
 def increasing(field: str, value: Array) -> Check:
     """`value` [sample] is finite and increases."""
-    rising = jnp.concatenate([jnp.ones(1, bool), jnp.diff(value) > 0])
-    return Check(field, value, jnp.isfinite(value) & rising, "increasing finite values")
+    xp, x = _values(value)
+    rising = xp.concatenate([xp.ones((*x.shape[:-1], 1), bool), xp.diff(x) > 0], axis=-1)
+    return Check(field, x, xp.isfinite(x) & rising, "increasing finite values")
 
 
 def unit_vector(field: str, value: Array) -> Check:
     """The last axis of `value` is a vector of length 1."""
+    xp, x = _values(value)
     tolerance = 1e-5
-    length = jnp.sum(value * value, axis=-1)
-    return Check(field, value, jnp.abs(length - 1) < tolerance, "vectors of length 1")
+    length = xp.sum(x * x, axis=-1)
+    return Check(field, x, xp.abs(length - 1) < tolerance, "vectors of length 1")
 
 
-def _describe(check: Check) -> str:
-    bad = np.argwhere(~np.asarray(check.ok))
+def _describe(check: Check, ok: np.ndarray) -> str:
+    bad = np.argwhere(~ok)
     place = tuple(int(i) for i in bad[0])
-    got = np.asarray(check.value)[place]
+    value = known(check.value)
+    assert value is not None
+    got = value[place]
     where = f" at index {list(place)}" if place else ""
     more = f" ({len(bad)} values are wrong)" if len(bad) > 1 else ""
     return f"{check.field}: got {got}{where}, expected {check.expected}{more}"
+
+
+def require(checks: Iterable[Check]) -> None:
+    """Raise `ValueError` for the first check that fails on known values; what jit does not know passes."""
+    for check in checks:
+        ok = known(check.ok)
+        if ok is not None and not ok.all():
+            raise ValueError(_describe(check, ok))
 
 
 def enforce(passed: T, checks: Iterable[Check]) -> T:
@@ -119,14 +202,11 @@ def enforce(passed: T, checks: Iterable[Check]) -> T:
         ValueError: a check on known values fails; names the field, the value, the index, what was expected.
         RuntimeError: a check on traced values fails, at run time, naming the field and what was expected.
     """
-    traced: list[Check] = []
-    for check in checks:
-        if isinstance(check.ok, jax.core.Tracer):
-            traced.append(check)
-        elif not bool(check.ok.all()):
-            raise ValueError(_describe(check))
+    every = list(checks)
+    require(every)
+    traced = [check for check in every if known(check.ok) is None]
     if not traced:
         return passed
-    bad = jnp.stack([~check.ok.all() for check in traced])
+    bad = jnp.stack([~jnp.all(check.ok) for check in traced])
     messages = [f"{check.field}: expected {check.expected}" for check in traced]
     return eqx.branched_error_if(passed, bad.any(), jnp.argmax(bad), messages)

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxir._arrays import Check, as_float, finite, non_negative
+from jaxir._arrays import Check, as_float, broadcast, finite, non_negative, reshaped
 
 Axes = tuple[int | str, ...]
 Range = Callable[[str, Array], Check]
@@ -68,12 +68,12 @@ def quantity(
 
 def per_node(value: Array) -> Array:
     """One number as an array with a node axis of length 1, others as they are."""
-    return value[None] if value.ndim == 0 else value
+    return broadcast(value, (1,)) if value.ndim == 0 else value
 
 
 def per_face(value: Array) -> Array:
     """One number or one for each face as an array with the axes face and node, others as they are."""
-    return value.reshape(value.shape + (1,) * (2 - value.ndim)) if value.ndim else value.reshape(1, 1)
+    return reshaped(value, value.shape + (1,) * (2 - value.ndim)) if value.ndim else reshaped(value, (1, 1))
 
 
 def spectral(unit: str, within: Range | tuple[Range, ...] = non_negative, **options: Any) -> Any:
@@ -123,17 +123,31 @@ class Physical(eqx.Module):
             if getattr(self, name) is not None
             for within in declared.within
         ]
-        parts = [getattr(self, entry.name) for entry in dataclasses.fields(self)]
-        every = [one for part in parts for one in (part if isinstance(part, tuple) else (part,))]
         return [
             *ranges,
-            *(check for part in every if hasattr(part, "checks") for check in part.checks()),
-            *self.relations(),
+            *(check for part in self._parts() for check in part.checks()),
+            *(_compiled_relations(self) if type(self).relations is not Physical.relations else []),
         ]
 
     def relations(self) -> list[Check]:
         """What must hold between the fields, beyond the range of each."""
         return []
+
+    def node_checks(self, nodes: Any) -> list[Check]:
+        """What must hold between this and the spectral nodes of a computation: here, what its parts ask."""
+        return [check for part in self._parts() if isinstance(part, Physical) for check in part.node_checks(nodes)]
+
+    def _parts(self) -> list[Any]:
+        """The physical objects among the fields."""
+        values = [getattr(self, entry.name) for entry in dataclasses.fields(self)]
+        every = [one for value in values for one in (value if isinstance(value, tuple) else (value,))]
+        return [one for one in every if hasattr(one, "checks")]
+
+
+@eqx.filter_jit
+def _compiled_relations(of: Physical) -> list[Check]:
+    """`Physical.relations` as one program instead of one for each of its operations."""
+    return of.relations()
 
 
 def over_nodes(of: P, nodes: int, names: tuple[str, ...]) -> P:

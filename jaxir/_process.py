@@ -12,7 +12,7 @@ import os
 
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 OPT_OUT = "JAXIR_NATIVE_LOOPS"
-_BYTES = 65536
+_BYTES = 10**9
 
 
 def native_loops() -> str:

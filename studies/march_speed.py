@@ -255,7 +255,7 @@ def measure_views() -> list[dict]:
         return image(eqx.tree_at(lambda c: c.pixel, camera, jnp.full(2, camera.pixel.max())))
 
     def image(camera):
-        taken = Pass(lit, camera, jax.random.key(0), pixel_strata(2), jaxir.Method().resolved(scene))
+        taken = Pass(lit, camera, jax.random.key(0), jnp.uint32(0), pixel_strata(2), jaxir.Method().resolved(scene))
         parts = [estimate_chunk(taken, chunk) for chunk in taken.chunks()]
         return whole_image(taken, jax.tree.map(lambda *each: jnp.stack(each), *parts)).radiant_intensity()[0]
 

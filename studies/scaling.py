@@ -14,9 +14,8 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir.geometry import fitted_camera, pixel_strata
-from jaxir.imaging import Pass, estimate_chunk
-from jaxir.scene import compiled_on_nodes
+from jaxir.geometry import fitted_camera
+from jaxir.imaging import estimate_chunk, first_pass
 from studies._study import Run, study, subplots
 from studies.aircraft import generic_aircraft
 
@@ -46,7 +45,7 @@ def one_pass(scene, nodes, samples=2, bounces=0) -> tuple[float, float]:
     """Seconds of all chunks, and the temporary memory of one [MB]."""
     camera = fitted_camera(40.0, 20.0, scene.extent(), (PIXELS, PIXELS))
     method = jaxir.Method(jaxir.DirectSampling(1, 0), bounces).resolved(scene)
-    whole = Pass(compiled_on_nodes(scene, nodes), camera, jax.random.key(0), pixel_strata(samples), method)
+    whole = first_pass(scene, camera, nodes, jax.random.key(0), samples, method)
     chunks = whole.chunks()
     compiled = estimate_chunk.lower(whole, chunks[0]).compile()
     memory = compiled.compiled.memory_analysis().temp_size_in_bytes / 1e6

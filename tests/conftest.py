@@ -1,4 +1,12 @@
-"""Strict settings for every test: types checked at run time, strict promotion, both precisions."""
+"""Strict settings for every test: types checked at run time, strict promotion, both precisions.
+
+Programs are kept beside pytest's own cache: files share many, workers do, and so do the next tests run.
+"""
+
+import os
+from pathlib import Path
+
+os.environ.setdefault("JAXIR_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "programs"))
 
 import jax
 import pytest

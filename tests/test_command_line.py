@@ -106,7 +106,7 @@ def test_show_says_what_a_scene_holds(capsys):
         (["signature", "bare.toml"], "bare.toml: got no key signature.views"),
         (["render", "short.toml"], "short.toml: ParallelSource.irradiance: got 3 spectral values, expected 1 or 2"),
         (["render", "odd.toml"], "odd.toml: samples: got 3, expected an even number"),
-        (["signature", "near.toml"], "near.toml: signature: (radius of the scene) / distance: got"),
+        (["signature", "near.toml"], "near.toml: Camera: (radius of the scene about the target) / distance: got"),
         (["show", "bad.toml"], "bad.toml: skin.brdf.emisivity: unknown key"),
     ],
 )

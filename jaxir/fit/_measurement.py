@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, enforce, positive
+from jaxir._arrays import Check, as_float, broadcast, enforce, positive, reshaped
 from jaxir.geometry import Camera
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Scene, compiled_on_nodes
+from jaxir.scene import Scene, on_nodes
 from jaxir.transport import Method, graded_cameras
 
 
@@ -82,7 +83,8 @@ def measured_intensity(
     aspect = as_float(views, "views")
     if aspect.ndim != 2 or aspect.shape[1] != 2:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
-    cameras = graded_cameras(compiled_on_nodes(scene, nodes), aspect, shape, distance)
+    nodes = enforce(nodes, scene.checks_on(nodes))
+    cameras = _cameras(scene, nodes, aspect, shape, as_float(distance, "distance"))
     wanted = (aspect.shape[0], len(nodes.names))
     return _measurement(value, standard_deviation, wanted, cameras, nodes, method, samples, False)
 
@@ -114,7 +116,7 @@ def measured_image(
     """
     nodes = as_nodes(bands)
     wanted = (*camera.shape, len(nodes.names))
-    one = jax.tree.map(lambda leaf: leaf[None], camera)
+    one = jax.tree.map(lambda leaf: broadcast(leaf, (1, *leaf.shape)), camera)
     return _measurement(value, standard_deviation, wanted, one, nodes, method, samples, True)
 
 
@@ -133,9 +135,12 @@ def _measurement(
         raise ValueError(f"measurement.value: got shape {numbers.shape}, expected {shape}: views or pixels, then bands")
     if spread.shape not in ((), shape):
         raise ValueError(f"measurement.standard_deviation: got shape {spread.shape}, expected one value or {shape}")
-    flat = (-1, shape[-1])
-    spread = jnp.broadcast_to(spread, shape).reshape(flat)
-    made = Measurement(
-        numbers.reshape(flat), spread, cameras, nodes, Method() if method is None else method, samples, per_pixel
-    )
+    rows = (math.prod(shape[:-1]), shape[-1])
+    given, deviations = (reshaped(array, rows) for array in (numbers, broadcast(spread, shape)))
+    made = Measurement(given, deviations, cameras, nodes, Method() if method is None else method, samples, per_pixel)
     return enforce(made, made.checks())
+
+
+@eqx.filter_jit
+def _cameras(scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array) -> Camera:
+    return graded_cameras(on_nodes(scene, nodes), aspect, shape, distance)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from jaxir._arrays import as_float, enforce
+from jaxir._arrays import as_float, enforce, key_or_default
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._observation import Observation, observe
 from jaxir.fit._parameter import AbstractParameter, Coordinates
@@ -33,7 +33,7 @@ def prepare(
         raise ValueError("measurements: got none, expected at least one")
     if not robust > 0:
         raise ValueError(f"robust: got {robust}, expected a residual > 0 in standard deviations")
-    scene = enforce(scene, [*scene.checks(), *(c for m in measurements for c in m.checks())])
+    scene = enforce(scene, [c for m in measurements for c in (*scene.checks_on(m.nodes), *m.checks())])
     coordinates = Coordinates(parameters, scene)
     names = [p.name for p in coordinates.parameters]
     given = priors or {}
@@ -41,7 +41,7 @@ def prepare(
         if name not in names:
             raise ValueError(f"priors: got {name!r}, expected names among {names}")
     known = tuple(given.get(name) for name in names)
-    base = jax.random.key(0) if key is None else key
+    base = key_or_default(key)
     observed, surrogate = _observed(scene, coordinates, measurements, base)
     problem = Problem(coordinates, observed, known, as_float(robust), base, surrogate)
     assert problem.data  # counts the priors' residuals, which raises for one that does not suit its parameter

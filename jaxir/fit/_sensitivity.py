@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from jaxir._arrays import key_or_default
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._observation import Observation, observe
 from jaxir.scene import Scene
@@ -38,7 +39,7 @@ def sensitivity(
     ):
         skin = "no skin" if scene.skin is None else f"{type(scene.skin.brdf).__name__} skin"
         raise ValueError(f"sensitivity: got band {band!r} and {skin}; expected one of {names} and Lambert skin")
-    observed = observe(scene, measurement, jax.random.key(0) if key is None else key, moving=False)
+    observed = observe(scene, measurement, key_or_default(key), moving=False)
     return _slopes(observed, scene, names.index(band))
 
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from jaxir._arrays import Check, as_float, enforce, finite, positive, require_shape
+from jaxir._arrays import Check, as_float, broadcast, enforce, finite, on_host, placed, positive, require_shape
 from jaxir.geometry._ray import Bundle
 
 TILE = 16
@@ -147,15 +147,16 @@ def view_frame(azimuth: Any, elevation: Any) -> Float[Array, "3 3"]:
         Rows u (right), v (up), w = (cos el cos az, cos el sin az, sin el), the direction from target to observer.
         Seen from straight above or below, "up" continues from the limit along the azimuth.
     """
-    az, el = (jnp.deg2rad(as_float(a, f)) for a, f in ((azimuth, "azimuth"), (elevation, "elevation")))
-    require_shape("azimuth", az, ())
-    require_shape("elevation", el, ())
-    ca, sa, ce, se = jnp.cos(az), jnp.sin(az), jnp.cos(el), jnp.sin(el)
-    zero = jnp.zeros_like(ca)
-    u = jnp.stack([-sa, ca, zero])
-    v = jnp.stack([-se * ca, -se * sa, ce])
-    w = jnp.stack([ce * ca, ce * sa, se])
-    return jnp.stack([u, v, w])
+    angles = as_float(azimuth, "azimuth"), as_float(elevation, "elevation")
+    require_shape("azimuth", angles[0], ())
+    require_shape("elevation", angles[1], ())
+    xp, az, el = on_host(*angles)
+    az, el = xp.deg2rad(az), xp.deg2rad(el)
+    ca, sa, ce, se = xp.cos(az), xp.sin(az), xp.cos(el), xp.sin(el)
+    u = xp.stack([-sa, ca, xp.zeros_like(ca)])
+    v = xp.stack([-se * ca, -se * sa, ce])
+    w = xp.stack([ce * ca, ce * sa, se])
+    return placed(xp.stack([u, v, w]))
 
 
 def _shape(shape: tuple[int, int]) -> tuple[int, int]:
@@ -195,8 +196,9 @@ def perspective_camera(
         _require_positive(field, value)
     point = as_float(target, "target")
     require_shape("target", point, (3,))
-    pixel = jnp.tile((range_ * step)[None], 2)
-    return Camera(point, view_frame(azimuth, elevation), 1 / range_, pixel, _shape(shape))
+    xp, away, angle = on_host(range_, step)
+    pixel = xp.stack([away * angle] * 2)
+    return Camera(point, view_frame(azimuth, elevation), placed(1 / away), placed(pixel), _shape(shape))
 
 
 def orthographic_camera(
@@ -213,8 +215,7 @@ def orthographic_camera(
     _require_positive("pixel", size)
     point = as_float(target, "target")
     require_shape("target", point, (3,))
-    pair = jnp.broadcast_to(size, (2,))
-    return Camera(point, view_frame(azimuth, elevation), jnp.zeros_like(pair[0]), pair, _shape(shape))
+    return Camera(point, view_frame(azimuth, elevation), as_float(0.0), broadcast(size, (2,)), _shape(shape))
 
 
 def _require_positive(field: str, value: Array) -> None:

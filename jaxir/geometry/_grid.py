@@ -36,13 +36,13 @@ class Grid(eqx.Module):
 
     def centres(self) -> Float[Array, "nx ny nz 3"]:
         """Cell centres [nx, ny, nz, 3] [m]."""
-        axes = [self.origin[a] + self.spacing[a] * (as_float(jnp.arange(n)) + 0.5) for a, n in enumerate(self.shape)]
+        axes = [self.origin[a] + self.spacing[a] * (as_float(np.arange(n)) + 0.5) for a, n in enumerate(self.shape)]
         return jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
 
     def corners(self) -> Float[Array, "8 3"]:
         """The eight corners of the box [8, 3] [m]."""
         unit = as_float(np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]))
-        return self.origin[None, :] + unit * (self.spacing * as_float(np.array(self.shape)))[None, :]
+        return self.origin[None, :] + unit * self.size[None, :]
 
     def entry(self, origin: Float[Array, " 3"], direction: Float[Array, " 3"]) -> Float[Array, ""]:
         """Where a ray enters the box, if it does; 0 from inside [m]."""

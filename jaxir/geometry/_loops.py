@@ -124,7 +124,18 @@ def where_some(
         stop = (jnp.sum(some, dtype=jnp.int32) + (BLOCK - 1)) // BLOCK
         return lax.fori_loop(zero, stop, block, varying(value, some))
 
-    return lax.platform_dependent(some, value, rays, cpu=one_by_one, default=by_blocks)
+    return on_platform(some, value, rays, cpu=one_by_one, default=by_blocks)
+
+
+def on_platform(*operands: Any, cpu: Callable[..., Any], default: Callable[..., Any]) -> Any:
+    """`cpu` of the operands where JAX computes on processors, `default` elsewhere: the same numbers in another order.
+
+    Decided while tracing, by the default device: `lax.platform_dependent` would trace both. A program that is sent to
+    another kind of device than the default one is right and slower.
+    """
+    device = getattr(jax.config, "jax_default_device", None)
+    platform = jax.default_backend() if device is None else getattr(device, "platform", device)
+    return (cpu if platform == "cpu" else default)(*operands)
 
 
 def varying(value: T, like: Array) -> T:

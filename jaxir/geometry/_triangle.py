@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxir.geometry._loops import varying
+from jaxir.geometry._loops import on_platform, varying
 
 
 class Hit(eqx.Module):
@@ -61,7 +61,7 @@ def reattach(
     Differentiable in vertices, origin, direction with zero derivatives on a miss; that the face is met at all
     (silhouettes, shadow edges) has no derivative here.
     """
-    return lax.platform_dependent(vertices, faces, face, origin, direction, cpu=_by_blocks, default=_at_once)
+    return on_platform(vertices, faces, face, origin, direction, cpu=_by_blocks, default=_at_once)
 
 
 @reattach.defjvp

@@ -2,6 +2,7 @@
 
 from jaxir.imaging._chunks import Pass as Pass
 from jaxir.imaging._chunks import estimate_chunk as estimate_chunk
+from jaxir.imaging._chunks import first_pass as first_pass
 from jaxir.imaging._chunks import whole_image as whole_image
 from jaxir.imaging._devices import is_traced as is_traced
 from jaxir.imaging._devices import item_by_item as item_by_item
@@ -25,3 +26,4 @@ from jaxir.imaging._views import Views as Views
 from jaxir.imaging._views import prepare_views as prepare_views
 from jaxir.imaging._views import signature as signature
 from jaxir.imaging._views import view_intensity as view_intensity
+from jaxir.imaging._views import whole_table as whole_table

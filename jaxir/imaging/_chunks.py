@@ -8,16 +8,17 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
-from jaxir._arrays import Check, enforce
+from jaxir._arrays import Check, enforce, on_host, placed
 from jaxir.geometry import TILE, Camera, pixel_strata, stratum_points, tile_rays
 from jaxir.geometry.search import may_see
 from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Lit, Scene, compiled_on_nodes
-from jaxir.transport import Method, evaluate_orders, method_checks, trace
+from jaxir.scene import Lit, Scene, on_nodes
+from jaxir.transport import Method, evaluate_orders, trace
 
 TILES = 64  # of a chunk at most
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in the cache
@@ -46,7 +47,8 @@ class Pass(NamedTuple):
     Attributes:
         lit: the scene on the nodes.
         camera: the eye.
-        key: random key.
+        key: random key of the image.
+        number: of the pass, which decides its random numbers with `key`.
         strata: columns and rows of strata in a pixel.
         method: how radiance is found.
         parts: chunks into which a small image is cut all the same.
@@ -55,6 +57,7 @@ class Pass(NamedTuple):
     lit: Lit
     camera: Camera
     key: Array
+    number: Array
     strata: tuple[int, int]
     method: Method
     parts: int = PARTS
@@ -96,14 +99,13 @@ class Pass(NamedTuple):
         """Tiles of the image."""
         return self.camera.tiles[0] * self.camera.tiles[1]
 
-    def chunks(self) -> Int[Array, " chunk"]:
+    def chunks(self) -> Int[np.ndarray, " chunk"]:
         """Numbers of the chunks."""
-        return jnp.arange(-(-self.tiles // self.size), dtype=jnp.int32)
+        return np.arange(-(-self.tiles // self.size), dtype=np.int32)
 
     def tile(self, chunk: Int[Array, ""] | int) -> Int[Array, " tile"]:
         """Tiles of a chunk, spread over the image, so that chunks cost the same; the last may lie beyond it."""
-        count = self.chunks().shape[0]
-        return jnp.asarray(chunk, jnp.int32) + count * jnp.arange(self.size, dtype=jnp.int32)
+        return jnp.asarray(chunk, jnp.int32) + jnp.asarray(len(self.chunks()) * np.arange(self.size, dtype=np.int32))
 
 
 def first_pass(
@@ -115,11 +117,22 @@ def first_pass(
     method: Method,
     parts: int = PARTS,
 ) -> Pass:
-    """A pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
-    strata = pixel_strata(samples)
-    checks = [*scene.checks(), *camera.checks(), eye_outside(scene, camera), *method_checks(method, scene)]
-    lit = compiled_on_nodes(scene, enforce(as_nodes(bands), checks))
-    return Pass(lit, camera, key, strata, method.resolved(scene), parts)
+    """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
+    strata, nodes = pixel_strata(samples), as_nodes(bands)
+    nodes = enforce(nodes, [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene)])
+    lit, reach = _prepared(scene, nodes, camera)
+    return Pass(enforce(lit, [eye_outside(reach)]), camera, key, as_number(0), strata, method.resolved(scene), parts)
+
+
+@eqx.filter_jit
+def _prepared(scene: Scene, nodes: Nodes, camera: Camera) -> tuple[Lit, Array]:
+    """The scene on the nodes, and how far it reaches towards the eye."""
+    return on_nodes(scene, nodes), reach_to_eye(scene, camera)
+
+
+def as_number(number: int) -> Array:
+    """The number of a pass as an array, so that another does not compile anew."""
+    return placed(np.uint32(number))
 
 
 @eqx.filter_jit
@@ -168,7 +181,7 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
         return lax.cond(some, lambda: _estimate(taken, tile, key, start, empty), nothing)
 
     blocks = (-1, together)
-    own = jax.random.fold_in(key, chunk)
+    own = jax.random.fold_in(jax.random.fold_in(key, taken.number), chunk)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(own, jnp.arange(tile.shape[0] // together, dtype=jnp.uint32))
     every = lax.map(block, (tile[order].reshape(blocks), keys, jnp.any(some[order].reshape(blocks), axis=1)))
     back = jnp.argsort(order)
@@ -189,7 +202,7 @@ def _estimate(
     taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], start: Float[Array, ""], empty: Array | None
 ) -> tuple[_Seen, Array]:
     """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
-    lit, camera, _, strata, method, _ = taken
+    lit, camera, strata, method = taken.lit, taken.camera, taken.strata, taken.method
     size, some, count = tile.shape[0], taken.strata_at_once, strata[0] * strata[1]
     for_pixels, for_paths = jax.random.split(own)
 
@@ -227,12 +240,17 @@ class _Seen(NamedTuple):
     orders: Array | None
 
 
-def eye_outside(scene: Scene, camera: Camera) -> Check:
-    """Rays start on the scene's bounding sphere, so the eye must be beyond it."""
-    reach = scene.radius(camera.target) * camera.inverse_range
+def reach_to_eye(scene: Scene, camera: Camera) -> Float[Array, ""]:
+    """Radius of the scene about the camera's target over the distance of the eye."""
+    return scene.radius(camera.target) * camera.inverse_range
+
+
+def eye_outside(reach: Float[Array, "*view"]) -> Check:
+    """Rays start on the scene's bounding sphere, so the eye must be beyond it: `reach_to_eye` is less than 1."""
+    _, share = on_host(reach)
     return Check(
         "Camera: (radius of the scene about the target) / distance",
-        reach,
-        reach < 1,
+        share,
+        share < 1,
         "less than 1: an eye outside the scene's bounding sphere",
     )

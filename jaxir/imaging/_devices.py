@@ -7,16 +7,21 @@ device computed them, nor on how many there are.
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int
 from tqdm import tqdm
+
+from jaxir._arrays import placed
 
 AXIS = "devices"
 
@@ -48,74 +53,101 @@ def is_traced(inputs: Any) -> bool:
 
 def over_items(
     function: Callable[[Any, Array], Any],
+    whole: Callable[[Any, Any], Any],
     inputs: Any,
-    items: Int[Array, " item"],
+    items: Int[np.ndarray, " item"],
     label: str,
     devices: Mesh | None = None,
 ) -> Any:
-    """`function(inputs, item)` for every item, stacked.
+    """`whole(inputs, results)` of the results of `function(inputs, item)` for every item.
 
     Args:
         function: of a module, so that it is compiled once.
+        whole: of a module, too; results come stacked [item, ...].
         inputs: a pytree; its arrays may be traced.
         items: numbers of the items.
         label: of the progress bar.
         devices: of `shared_by`; None for one.
 
     Returns:
-        The results [item, ...]: of one compiled loop where inputs are traced, else of a loop on the host.
+        What `whole` makes: of one program where inputs are traced, which is compiled once for each structure, else of
+        a loop on the host.
 
-    Differentiable in inputs as `function` is.
+    Differentiable in inputs as the two functions are.
     """
     if is_traced(inputs):
-        if devices is None:
-            return lax.map(lambda item: function(inputs, item), items)
-        rows = _rows(items, devices.size)
-        stacked = lax.map(lambda row: _on_devices(function, inputs, row, devices), rows)
-        return jax.tree.map(lambda leaf: leaf.reshape((-1,) + leaf.shape[2:])[: items.shape[0]], stacked)
+        return _in_one_program(function, whole, inputs, placed(items), devices)
+    results = [part for _, part in item_by_item(function, inputs, items, label, devices)]
+    return _joined(whole, inputs, results, devices is not None)
+
+
+@eqx.filter_jit
+def _in_one_program(
+    function: Callable[[Any, Array], Any],
+    whole: Callable[[Any, Any], Any],
+    inputs: Any,
+    items: Int[Array, " item"],
+    devices: Mesh | None,
+) -> Any:
     if devices is None:
-        bar = tqdm(items, desc=label, delay=5, leave=False)
-        results = [jax.block_until_ready(function(inputs, item)) for item in bar]
-        return _stacked(results)
-    parts = [part for _, part in item_by_item(function, inputs, items, label, devices)]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+        return whole(inputs, lax.map(lambda item: function(inputs, item), items))
+    rows = jnp.asarray(_rows(np.arange(items.shape[0]), devices.size))
+    stacked = lax.map(lambda row: _on_devices(function, inputs, items[row], devices), rows)
+    return whole(inputs, jax.tree.map(lambda leaf: leaf.reshape((-1,) + leaf.shape[2:])[: items.shape[0]], stacked))
 
 
-@jax.jit
-def _stacked(results: list[Any]) -> Any:
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *results)
+@eqx.filter_jit
+def _joined(whole: Callable[[Any, Any], Any], inputs: Any, results: list[Any], rows: bool) -> Any:
+    join = jnp.concatenate if rows else jnp.stack
+    return whole(inputs, jax.tree.map(lambda *leaves: join(leaves), *results))
 
 
 def item_by_item(
     function: Callable[[Any, Array], Any],
     inputs: Any,
-    items: Int[Array, " item"],
+    items: Int[np.ndarray, " item"],
     label: str,
     devices: Mesh | None = None,
-) -> Iterator[tuple[Int[Array, " some"], Any]]:
-    """As `over_items`, but yields items and results as they are ready: one by one, or one of each device."""
-    shared = NamedSharding(devices, PartitionSpec()) if devices is not None else None
-    inputs = _placed(inputs, shared)
-    count = 1 if devices is None else devices.size
-    for start in tqdm(range(0, items.shape[0], count), desc=label, delay=5, leave=False):
-        own = items[start : start + count]
-        if devices is None:
-            result = jax.tree.map(lambda leaf: leaf[None], function(inputs, own[0]))
-        else:
-            row = _placed(_rows(own, count)[0], shared)
+) -> Iterator[tuple[Int[np.ndarray, " some"], Any]]:
+    """Items and results of `function(inputs, item)` as they are ready.
+
+    One by one with the result of one, or with `devices` one of each and the results stacked [item, ...].
+    """
+    if devices is None:
+        with _progress(label, len(items)) as done:
+            for item in items:
+                yield np.asarray([item]), jax.block_until_ready(function(inputs, placed(item)))
+                done(1)
+        return
+    shared = NamedSharding(devices, PartitionSpec())
+    inputs = eqx.filter_shard(inputs, shared)  # in every process they must be the same
+    with _progress(label, len(items)) as done:
+        for start in range(0, items.shape[0], devices.size):
+            own = items[start : start + devices.size]
+            row = eqx.filter_shard(placed(_rows(own, devices.size)[0]), shared)
             every = _on_devices(function, inputs, row, devices)
             result = jax.tree.map(lambda leaf, own=own: leaf.addressable_data(0)[: own.shape[0]], every)
-        yield own, jax.block_until_ready(result)
+            yield own, jax.block_until_ready(result)
+            done(len(own))
 
 
-def _rows(items: Array, count: int) -> Array:
+@contextlib.contextmanager
+def _progress(label: str, count: int) -> Iterator[Callable[[int], None]]:
+    """A bar for what takes more than 5 s; the first step, which compiles what is new, counts in no estimate."""
+    with tqdm(total=count, desc=f"{label}: compiling, once for scenes of this structure", delay=5, leave=False) as bar:
+
+        def done(steps: int) -> None:
+            if bar.n == 0:
+                bar.set_description(label, refresh=False)
+                bar.initial, bar.start_t = steps, time.time()
+            bar.update(steps)
+
+        yield done
+
+
+def _rows(items: np.ndarray, count: int) -> np.ndarray:
     """Items [row, device]; the last item fills up the last row."""
-    return jnp.pad(items, (0, -items.shape[0] % count), mode="edge").reshape(-1, count)
-
-
-def _placed(inputs: Any, sharding: NamedSharding | None) -> Any:
-    """Inputs on every device; in every process they must be the same."""
-    return inputs if sharding is None else eqx.filter_shard(inputs, sharding)
+    return np.pad(items, (0, -items.shape[0] % count), mode="edge").reshape(-1, count)
 
 
 @eqx.filter_jit

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import enforce
 from jaxir.geometry import view_frame
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Scene
+from jaxir.scene import Scene, on_nodes
 from jaxir.transport import unoccluded_radiance
 
 
@@ -43,9 +44,14 @@ def unoccluded_intensity(
         raise ValueError("scene: got a plume or no skin, expected skin alone; use render or signature for plumes")
     if scene.area_sources or any(source.travel is None for source in scene.delta_sources):
         raise ValueError("scene: got sources at a finite distance, expected parallel ones; use render or signature")
-    nodes = enforce(as_nodes(bands), scene.checks())
-    lit = scene.on(nodes)
-    toward = view_frame(azimuth, elevation)[2]
+    nodes = as_nodes(bands)
+    return _summed(scene, enforce(nodes, scene.checks_on(nodes)), view_frame(azimuth, elevation))
+
+
+@eqx.filter_jit
+def _summed(scene: Scene, nodes: Nodes, frame: Array) -> Array:
+    assert scene.skin is not None
+    lit, toward = on_nodes(scene, nodes), frame[2]
     vector = scene.skin.mesh.area_vectors()
     projected = jnp.maximum(jnp.sum(vector * toward[None, :], axis=-1), 0)
     radiance = unoccluded_radiance(lit, toward)

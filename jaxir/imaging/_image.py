@@ -44,6 +44,7 @@ class Image(eqx.Module):
     outcome: Outcome
     orders: Float[Array, "2 band"] | None = None
 
+    @eqx.filter_jit
     def radiant_intensity(self) -> Float[Array, " band"]:
         """Radiant intensity in contrast to what the empty image would show [band] [W sr-1].
 
@@ -53,6 +54,7 @@ class Image(eqx.Module):
         area = self.camera.pixel_area()
         return jnp.sum((self.radiance - self.empty) * area[:, :, None], axis=(0, 1))
 
+    @eqx.filter_jit
     def intensity_error(self) -> Float[Array, " band"]:
         """Standard error of `radiant_intensity` [band] [W sr-1]; pixels are sampled independently.
 
@@ -63,6 +65,7 @@ class Image(eqx.Module):
         return safe_sqrt(variance)
 
     @property
+    @eqx.filter_jit
     def truncation(self) -> Float[Array, " band"]:
         """Share of the radiant intensity that orders of scattering beyond the last would add, estimated [band].
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
+from jaxir._arrays import key_or_default
 from jaxir.geometry import Camera, pixel_strata
-from jaxir.imaging._chunks import PARTS, estimate_chunk, first_pass, whole_image
+from jaxir.imaging._chunks import PARTS, as_number, estimate_chunk, first_pass, whole_image
 from jaxir.imaging._devices import is_traced, over_items, shared_by
 from jaxir.imaging._image import Image, Outcome, joined, meets
 from jaxir.imaging._pilot import well_shaped
@@ -69,7 +69,7 @@ def render(
     Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
     geometry is seen as fixed.
     """
-    key = jax.random.key(0) if key is None else key
+    key = key_or_default(key)
     planned = samples is None and rtol is not None
     if rtol is not None:
         if is_traced((scene, camera, key, method)):
@@ -80,16 +80,15 @@ def render(
     if max_samples < least:
         raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
     parts = PARTS if devices is None else max(PARTS, devices.size)
-    for_pilots, for_passes = jax.random.split(key)
-    first = first_pass(scene, camera, bands, for_pilots, least, Method() if method is None else method, parts)
+    first = first_pass(scene, camera, bands, key, least, Method() if method is None else method, parts)
     if planned and rtol is not None:
         found = plan_pass(first._replace(parts=PARTS), rtol, max_samples, method is not None)
         samples, first = found.samples, first._replace(method=found.method)
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 
     def take(number: int, samples: int) -> Image:
-        taken = first._replace(key=jax.random.fold_in(for_passes, number), strata=pixel_strata(samples))
-        return whole_image(taken, over_items(estimate_chunk, taken, taken.chunks(), "render", mesh))
+        taken = first._replace(number=as_number(number), strata=pixel_strata(samples))
+        return over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh)
 
     image, passes = take(0, samples), 0
     if rtol is None:

@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array
 
-from jaxir.imaging._chunks import Estimate, Pass, estimate_chunk
+from jaxir._arrays import placed
+from jaxir.imaging._chunks import Estimate, Pass, as_number, estimate_chunk
 
 CHUNKS = 8  # of a pilot; all of a small image
 SECONDS = 2.0  # after which a pilot takes no more chunks
+OF_PILOTS = 2**32 - 1  # the number of the pass that pilots take part of
 QUICK = 0.01  # seconds up to which a chunk is timed twice: other work may disturb it
 
 
@@ -35,7 +36,7 @@ class Pilot(NamedTuple):
 
 def pilot(taken: Pass) -> Pilot:
     """Compute some chunks of a pass; each is a systematic sample of the image's tiles, so few stand for all."""
-    chunks = taken.chunks()
+    chunks, taken = taken.chunks(), taken._replace(number=as_number(OF_PILOTS))
     compiled = _timed(taken, chunks[0])[1]
     sums, times = [], []
     for index in np.unique(np.linspace(0, len(chunks) - 1, CHUNKS).astype(int)):
@@ -48,10 +49,10 @@ def pilot(taken: Pass) -> Pilot:
     return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled)
 
 
-def _timed(taken: Pass, chunk: Array) -> tuple[Estimate, float]:
+def _timed(taken: Pass, chunk: np.int32) -> tuple[Estimate, float]:
     """A chunk, and the seconds that it took."""
     began = time.perf_counter()
-    estimate = jax.block_until_ready(estimate_chunk(taken, chunk))
+    estimate = jax.block_until_ready(estimate_chunk(taken, placed(chunk)))
     return estimate, time.perf_counter() - began
 
 

@@ -6,19 +6,18 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from jaxir._arrays import enforce, float_dtype
+from jaxir._arrays import float_dtype, key_or_default, require
 from jaxir.geometry import AbstractSampler, Camera, Sobol, pixel_strata
 from jaxir.imaging._chunks import Pass, first_pass
 from jaxir.imaging._devices import is_traced
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene
-from jaxir.transport import ClosedForm, DirectSampling, Method, method_checks
+from jaxir.transport import ClosedForm, DirectSampling, Method
 
 FEW = 2  # rays per pixel of the first pilots
 MORE = (12, 128)  # at least and at most, of the second
@@ -113,7 +112,7 @@ def plan(
     require_rtol(rtol)
     if is_traced((scene, camera, key, method)):
         raise ValueError("plan: got values known only inside jit, expected a call outside it")
-    key = jax.random.split(jax.random.key(0) if key is None else key)[0]  # as `render` splits it
+    key = key_or_default(key)
     given = Method() if method is None else method
     return plan_pass(first_pass(scene, camera, bands, key, FEW, given), rtol, max_samples, method is not None)
 
@@ -159,7 +158,7 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
 
     closed = by(ClosedForm())
     try:
-        enforce(scene.skin.temperature, method_checks(closed, scene))
+        require(closed.checks_for(scene))
         return [closed, by(DirectSampling(1, 0))]
     except ValueError:
         pass

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,7 +15,7 @@ from jaxir._arrays import as_float, enforce
 from jaxir._fields import require_count
 from jaxir.geometry import Rays, view_frame
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Scene
+from jaxir.scene import Scene, on_nodes
 
 GOLDEN = (math.sqrt(5) - 1) / 2
 
@@ -49,9 +50,14 @@ def plume_intensity(
     if scene.skin is not None or scene.scatters:
         raise ValueError("scene: got skin or particles, expected plumes of gas alone")
     require_count("rays", rays)
-    nodes = enforce(as_nodes(bands), scene.checks())
-    lit, extent = scene.on(nodes), scene.extent()
-    through, area = entering(extent.min(axis=0), extent.max(axis=0), view_frame(azimuth, elevation)[2], rays)
+    nodes = as_nodes(bands)
+    return _integrated(scene, enforce(nodes, scene.checks_on(nodes)), view_frame(azimuth, elevation), rays)
+
+
+@eqx.filter_jit
+def _integrated(scene: Scene, nodes: Nodes, frame: Array, rays: int) -> Array:
+    lit, extent = on_nodes(scene, nodes), scene.extent()
+    through, area = entering(extent.min(axis=0), extent.max(axis=0), frame[2], rays)
     far = jnp.full(through.count, jnp.inf, area.dtype)
     seen = lit.through_air(lit.through_plume(through, far, lit.background(through.direction)))
     return nodes.in_band(jnp.sum(seen - lit.empty(through.direction), axis=0) * area)

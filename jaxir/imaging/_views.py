@@ -13,13 +13,13 @@ from jax import lax
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, Key
 
-from jaxir._arrays import Check, as_float, enforce
+from jaxir._arrays import as_float, enforce, finite, key_or_default
 from jaxir.geometry import Camera, pixel_strata
-from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, whole_image
+from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_eye, whole_image
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Lit, Scene, compiled_on_nodes
-from jaxir.transport import Method, graded_cameras, method_checks
+from jaxir.scene import Lit, Scene, on_nodes
+from jaxir.transport import Method, graded_cameras
 
 
 class Signature(eqx.Module):
@@ -49,20 +49,18 @@ class Views(NamedTuple):
     Attributes:
         lit: the scene on the nodes.
         cameras: of all views [view].
-        keys: of all views [view]; those of the first views do not depend on how many follow.
+        key: random key; that of a view does not depend on how many follow.
         strata: columns and rows of strata in a pixel.
         method: how radiance is found.
-        azimuth: [view] [deg].
-        elevation: [view] [deg].
+        aspect: azimuth and elevation [view, 2] [deg].
     """
 
     lit: Lit
     cameras: Camera
-    keys: Array
+    key: Array
     strata: tuple[int, int]
     method: Method
-    azimuth: Array
-    elevation: Array
+    aspect: Array
 
 
 def signature(
@@ -112,10 +110,16 @@ def signature(
         key=key,
         method=Method() if method is None else method,
     )
-    index = jnp.arange(asked.azimuth.shape[0], dtype=jnp.int32)
-    mesh = shared_by(devices, index.shape[0], "views")
-    intensity, error, truncation = over_items(view_intensity, asked, index, "signature", mesh)
-    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.lit.nodes.names, truncation)
+    index = np.arange(asked.aspect.shape[0], dtype=np.int32)
+    mesh = shared_by(devices, index.size, "views")
+    return over_items(view_intensity, whole_table, asked, index, "signature", mesh)
+
+
+def whole_table(views: Views, found: tuple[Array, Array, Array]) -> Signature:
+    """The table of what `view_intensity` found in all views."""
+    intensity, error, truncation = found
+    azimuth, elevation = views.aspect.T
+    return Signature(azimuth, elevation, intensity, error, views.lit.nodes.names, truncation)
 
 
 def prepare_views(
@@ -134,14 +138,23 @@ def prepare_views(
     if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     nodes = as_nodes(bands)
-    base = jax.random.key(0) if key is None else key
-    lit = compiled_on_nodes(scene, nodes)
+    key = key_or_default(key)
+    away = as_float(distance, "distance")
+    checks = [*scene.checks_on(nodes), finite("views", aspect)]
+    nodes = enforce(nodes, [*checks, *method.checks_for(scene)])
+    lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
+    lit = enforce(lit, [*cameras.checks(), eye_outside(reach)])
+    return Views(lit, cameras, key, pixel_strata(samples), method.resolved(scene), aspect)
+
+
+@eqx.filter_jit
+def _prepared(
+    scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array
+) -> tuple[Lit, Camera, Array]:
+    """The scene on the nodes, the cameras of all views [view], and how far it reaches towards their eyes [view]."""
+    lit = on_nodes(scene, nodes)
     cameras = graded_cameras(lit, aspect, shape, distance)
-    outside = jax.vmap(lambda camera: eye_outside(scene, camera).value)(cameras)
-    eye = Check("signature: (radius of the scene) / distance", outside, outside < 1, "less than 1: sensors outside it")
-    nodes = enforce(nodes, [*scene.checks(), *cameras.checks(), eye, *method_checks(method, scene)])
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(base, jnp.arange(aspect.shape[0], dtype=jnp.uint32))
-    return Views(lit, cameras, keys, pixel_strata(samples), method.resolved(scene), aspect[:, 0], aspect[:, 1])
+    return lit, cameras, jax.vmap(lambda camera: reach_to_eye(scene, camera))(cameras)
 
 
 @eqx.filter_jit
@@ -149,7 +162,8 @@ def view_intensity(
     views: Views, index: Int[Array, ""]
 ) -> tuple[Float[Array, " band"], Float[Array, " band"], Float[Array, " band"]]:
     """Contrast intensity of one view, its standard error, and the share left out."""
-    camera, key = jax.tree.map(lambda leaf: leaf[index], (views.cameras, views.keys))
-    taken = Pass(views.lit, camera, key, views.strata, views.method)
-    image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), taken.chunks()))
+    camera = jax.tree.map(lambda leaf: leaf[index], views.cameras)
+    key = jax.random.fold_in(views.key, index)
+    taken = Pass(views.lit, camera, key, jnp.zeros((), jnp.uint32), views.strata, views.method)
+    image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
     return image.radiant_intensity(), image.intensity_error(), image.truncation

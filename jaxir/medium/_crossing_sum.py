@@ -5,13 +5,10 @@ Value and first derivatives stream through the lists as `march` streams through 
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir.geometry import Crossings
-from jaxir.medium._march import radiance_primitive
-from jaxir.optics import through_layer
+from jaxir.medium._march import listed_sum, radiance_primitive
 
 
 def crossing_sum(
@@ -41,19 +38,4 @@ def crossing_sum(
     return listed_p.bind(extinction, emission, behind, crossings.cell, crossings.length, shape=None)[0]
 
 
-def _plain_sum(extinction: Array, emission: Array, behind: Array, cell: Array, length: Array) -> Array:
-    """The same in ordinary operations: any derivative exists, and memory grows with the crossings."""
-    cell, length = cell.T, length.T
-    mu, j = extinction.at[cell].get(mode="clip"), emission.at[cell].get(mode="clip")
-    length = jnp.broadcast_to(length[:, :, None], mu.shape)
-    # Radiance from behind is added at the end: next to it the emission of thin cells would be rounded away.
-    emitted = lax.scan(
-        lambda radiance, layer: (through_layer(radiance, *layer), None),
-        jnp.zeros_like(behind),
-        (mu, j, length),
-        reverse=True,
-    )[0]
-    return emitted + jnp.exp(-jnp.sum(mu * length, axis=0)) * behind
-
-
-listed_p = radiance_primitive("crossing_sum", 2, _plain_sum)
+listed_p = radiance_primitive("crossing_sum", 2, listed_sum)

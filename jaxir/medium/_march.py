@@ -23,6 +23,7 @@ brings up by u; behind a cell of u > 64 it is set to the 0 that it is to 2e-28.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -32,7 +33,7 @@ from jax.extend.core import Primitive
 from jaxtyping import Array, Float
 
 from jaxir._arrays import require_shape
-from jaxir.geometry import Grid, Rays
+from jaxir.geometry import Grid, Rays, crossings
 from jaxir.medium._primitives import (
     along_active,
     is_active,
@@ -54,7 +55,7 @@ from jaxir.medium._segments import (
     over_chunks,
     rows,
 )
-from jaxir.optics import SERIES_BELOW, across_layer, attenuate, phi1, thinning
+from jaxir.optics import SERIES_BELOW, across_layer, attenuate, phi1, thinning, through_layer
 
 OPAQUE = 64.0  # optical depth of a cell through which nothing is seen
 
@@ -197,14 +198,14 @@ register_linear(depth_p, depth_adjoint_p, constants=5)
 register_linear(depth_adjoint_p, depth_p, constants=5)
 
 
-def radiance_primitive(name: str, parts: int, plain: Callable[..., Array] | None = None) -> Primitive:
+def radiance_primitive(name: str, parts: int, plain: Callable[..., Array]) -> Primitive:
     """The radiance [ray, node] as a primitive of (extinction, emission, behind, *geometry), with its derivatives.
 
     Args:
         name: shown in jaxprs.
         parts: how many arrays the geometry is, see `segments`.
-        plain: the same in ordinary operations, for second derivatives and those along the geometry; without it second
-            derivatives are refused and the geometry has none.
+        plain: the same in ordinary operations with the same `shape`, for second derivatives and those along the
+            geometry.
 
     Returns:
         The primitive; its static parameter `shape` is that of the grid, None for lists.
@@ -218,8 +219,8 @@ def radiance_primitive(name: str, parts: int, plain: Callable[..., Array] | None
     adjoint = streaming_primitive(f"{name}_adjoint", _radiance_adjoint, lambda *a, shape, wrt: wanted(a, wrt))
 
     def jvp(primals, tangents, *, shape):
-        if plain is not None and any(is_active(x) for x in tangents[3:]):
-            return along_active(lambda *operands: [plain(*operands)], primals, tangents)
+        if any(is_active(x) for x in tangents[3:]):
+            return along_active(lambda *operands: [plain(*operands, shape=shape)], primals, tangents)
         results = radiance.bind(*primals, shape=shape)
         wrt = tuple(is_active(x) for x in tangents[:3])
         if not any(wrt):
@@ -227,27 +228,52 @@ def radiance_primitive(name: str, parts: int, plain: Callable[..., Array] | None
         marched = tangent.bind(*primals[:3], *results, *primals[3:], *wanted(tangents, wrt), shape=shape, wrt=wrt)
         return results, marched
 
-    def of_wanted(operands, wrt):
-        assert plain is not None
+    def of_wanted(operands, shape, wrt):
         fixed = (*operands[:3], *operands[4 : 4 + parts])
         places = [place for place, wants in enumerate(wrt) if wants]
-        return partly(plain, fixed, places), [fixed[place] for place in places]
+        return partly(partial(plain, shape=shape), fixed, places), [fixed[place] for place in places]
 
     def plain_tangent(*operands, shape, wrt):
-        function, values = of_wanted(operands, wrt)
+        function, values = of_wanted(operands, shape, wrt)
         return [jax.jvp(function, values, list(operands[4 + parts :]))[1]]
 
     def plain_adjoint(*operands, shape, wrt):
-        function, values = of_wanted(operands, wrt)
+        function, values = of_wanted(operands, shape, wrt)
         return list(jax.vjp(function, *values)[1](operands[4 + parts]))
 
     register_jvp(radiance, jvp)
-    register_linear(tangent, adjoint, 4 + parts, None if plain is None else plain_tangent)
-    register_linear(adjoint, tangent, 4 + parts, None if plain is None else plain_adjoint)
+    register_linear(tangent, adjoint, 4 + parts, plain_tangent)
+    register_linear(adjoint, tangent, 4 + parts, plain_adjoint)
     return radiance
 
 
-radiance_p = radiance_primitive("march", 5)
+def listed_sum(
+    extinction: Array, emission: Array, behind: Array, cell: Array, length: Array, shape: None = None
+) -> Array:
+    """`crossing_sum` in ordinary operations: any derivative exists, and memory grows with the crossings."""
+    cell, length = cell.T, length.T
+    mu, j = extinction.at[cell].get(mode="clip"), emission.at[cell].get(mode="clip")
+    length = jnp.broadcast_to(length[:, :, None], mu.shape)
+    # Radiance from behind is added at the end: next to it the emission of thin cells would be rounded away.
+    emitted = lax.scan(
+        lambda radiance, layer: (through_layer(radiance, *layer), None),
+        jnp.zeros_like(behind),
+        (mu, j, length),
+        reverse=True,
+    )[0]
+    return emitted + jnp.exp(-jnp.sum(mu * length, axis=0)) * behind
+
+
+def _walked_sum(
+    extinction: Array, emission: Array, behind: Array, *geometry: Array, shape: tuple[int, int, int]
+) -> Array:
+    """`march` in ordinary operations: the cells are listed first."""
+    origin, spacing, begin, direction, t_max = geometry
+    lists = crossings(Grid(origin, spacing, shape), Rays(begin, direction), t_max)
+    return listed_sum(extinction, emission, behind, lists.cell, lists.length)
+
+
+radiance_p = radiance_primitive("march", 5, _walked_sum)
 
 
 def _geometry(grid: Grid, rays: Rays, t_max: Array) -> Lists:
@@ -289,7 +315,8 @@ def march(
     Raises:
         ValueError: shapes disagree.
 
-    Differentiable in extinction, emission, behind, once, in forward and reverse mode; not in grid, rays, t_max.
+    Differentiable in extinction, emission, behind, in forward and reverse mode, to any order; beyond the first memory
+    grows with crossings times nodes. Not in grid, rays, t_max.
     """
     geometry = _geometry(grid, rays, t_max)
     extinction, emission = _cells("extinction", grid, extinction), _cells("emission", grid, emission)

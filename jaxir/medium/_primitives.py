@@ -102,17 +102,14 @@ def register_linear(
     """Declare that `primitive` is linear in all operands after the first `constants`, with `transposed` as transpose.
 
     Both take the same constants; `transposed` maps cotangents of the results to cotangents of the linear operands.
-    `plain`, the same in ordinary operations, is differentiated along constants; without it that is refused.
+    `plain`, the same in ordinary operations, is differentiated along constants, where these are not the geometry that
+    nobody differentiates.
     """
 
     def jvp(primals: Sequence[Any], tangents: Sequence[Any], **params: Any) -> tuple[list, list]:
         if any(is_active(tangent) for tangent in tangents[:constants]):
-            if plain is not None:
-                return along_active(partial(plain, **params), primals, tangents)
-            raise NotImplementedError(
-                f"{primitive.name}: second derivatives do not exist for the streaming march; "
-                "use crossing_sum, which is differentiable to any order"
-            )
+            assert plain is not None
+            return along_active(partial(plain, **params), primals, tangents)
         results = primitive.bind(*primals, **params)
         if not any(is_active(tangent) for tangent in tangents[constants:]):
             return results, [zero_like(jax.typeof(result)) for result in results]

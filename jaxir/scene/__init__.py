@@ -2,6 +2,5 @@
 
 from jaxir.scene._scene import Lit as Lit
 from jaxir.scene._scene import Scene as Scene
-from jaxir.scene._scene import compiled_on_nodes as compiled_on_nodes
 from jaxir.scene._scene import on_nodes as on_nodes
 from jaxir.scene._skin import Skin as Skin

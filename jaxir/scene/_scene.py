@@ -162,6 +162,11 @@ class Scene(eqx.Module):
         parts = (self.skin, *self.plumes, *self.sources, self.background, self.atmosphere)
         return [check for part in parts if part is not None for check in part.checks()]
 
+    def checks_on(self, nodes: Nodes) -> list[Check]:
+        """`checks`, and what the parts ask of the spectral nodes."""
+        parts = (*self.plumes, *self.sources, self.background, self.atmosphere)
+        return [*self.checks(), *(check for part in parts if part is not None for check in part.node_checks(nodes))]
+
 
 def _part(field: str, value: Any, kind: type) -> Any:
     """`value`, or `ValueError` unless it is of its kind, None or something that stands for a leaf."""
@@ -282,9 +287,6 @@ def on_nodes(scene: Scene, nodes: Nodes) -> Lit:
         air=None if air is None else air.on(nodes),
         beams=tuple(_at_points(own, medium, source) for source in own.summed_beams),
     )
-
-
-compiled_on_nodes = eqx.filter_jit(on_nodes)
 
 
 def _at_points(scene: Scene, medium: AbstractMedium | None, source: AbstractDeltaSource) -> Float[Array, "point node"]:

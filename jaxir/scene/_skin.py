@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxir._arrays import Check, as_float, positive
+from jaxir._arrays import Check, as_float, broadcast, positive
 from jaxir.geometry.search import Mesh
 from jaxir.optics.surface import AbstractBrdf
 
@@ -61,7 +61,7 @@ class Skin(eqx.Module):
                 f"Skin.temperature: got shape {value.shape}, expected one value or ({count},), one per face"
             )
         self.mesh = mesh
-        self.temperature = jnp.broadcast_to(value, (count,))
+        self.temperature = broadcast(value, (count,))
         if brdf.shape()[0] not in (1, count):
             raise ValueError(
                 f"Skin.brdf: got parameters of {brdf.shape()[0]} faces, expected 1 or {count}, one per face"
@@ -75,7 +75,7 @@ class Skin(eqx.Module):
                 f"Skin.part: got indices {index.min()} to {index.max()}, expected 0 to {len(part_names) - 1} "
                 f"for the names {tuple(part_names)}"
             )
-        self.part = jnp.asarray(index, jnp.int32)
+        self.part = jax.device_put(index.astype(np.int32))
         self.part_names = tuple(part_names)
 
     def checks(self) -> list[Check]:

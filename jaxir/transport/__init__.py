@@ -19,7 +19,6 @@ from jaxir.transport._method import Method as Method
 from jaxir.transport._method import PlumeLight as PlumeLight
 from jaxir.transport._method import SkinLight as SkinLight
 from jaxir.transport._method import concavity as concavity
-from jaxir.transport._method import method_checks as method_checks
 from jaxir.transport._paths import LightSamples as LightSamples
 from jaxir.transport._paths import Paths as Paths
 from jaxir.transport._paths import Segment as Segment

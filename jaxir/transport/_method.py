@@ -182,7 +182,9 @@ class Method(Physical):
         return [*self.checks(), *closed]
 
 
+@eqx.filter_jit
 def _closed_form_checks(scene: Scene) -> list[Check]:
+    """Conditions of the closed form, compiled, because it looks at every pair of face and vertex."""
     if scene.skin is None:
         return []
     if not scene.skin.brdf.diffuse or scene.plumes:
@@ -215,9 +217,3 @@ def concavity(mesh: Mesh) -> tuple[Float[Array, " face"], Float[Array, ""]]:
     height = normal @ mesh.vertices.T - jnp.sum(normal * mesh.corners()[:, 0], axis=-1)[:, None]
     rise = jnp.max(height if mesh.closed else jnp.abs(height), axis=-1)
     return rise, 64 * jnp.finfo(rise.dtype).eps * jnp.max(jnp.abs(mesh.vertices))
-
-
-@eqx.filter_jit
-def method_checks(method: Method, scene: Scene) -> list[Check]:
-    """`Method.checks_for`, compiled, because a closed form looks at every pair of face and vertex."""
-    return method.checks_for(scene)

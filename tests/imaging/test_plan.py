@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir._arrays import enforce
 from jaxir.geometry import pixel_strata
-from jaxir.imaging import ErrorLaw, Pass, Pilot, error_law, pilot, well_shaped
-from jaxir.optics.spectrum import as_nodes
-from jaxir.scene import compiled_on_nodes
+from jaxir.imaging import ErrorLaw, Pilot, error_law, estimate_chunk, pilot, well_shaped, whole_image
+from jaxir.imaging._chunks import as_number, first_pass
+from jaxir.imaging._devices import over_items
+from jaxir.imaging._pilot import OF_PILOTS
 from tests.scenes import gray_box, plate
 
 CAMERA = jaxir.orthographic_camera(30.0, 20.0, 0.06, (48, 48))
@@ -85,12 +85,10 @@ def test_samples_that_do_not_suffice_are_said_so():
 
 
 def test_a_pilot_of_all_chunks_is_the_image():
-    nodes = enforce(as_nodes(jaxir.LWIR), SUNLIT.checks())
-    lit = compiled_on_nodes(SUNLIT, nodes)
-    key = jax.random.key(5)
-    of_image = jax.random.fold_in(jax.random.split(key)[1], 0)  # as `render` derives it for its first pass
-    seen = pilot(Pass(lit, CAMERA, of_image, pixel_strata(4), jaxir.Method().resolved(SUNLIT)))
-    image = jaxir.render(SUNLIT, CAMERA, jaxir.LWIR, samples=4, key=key)
+    taken = first_pass(SUNLIT, CAMERA, jaxir.LWIR, jax.random.key(5), 4, jaxir.Method())
+    seen = pilot(taken)
+    same = taken._replace(number=as_number(OF_PILOTS))
+    image = over_items(estimate_chunk, whole_image, same, same.chunks(), "image")
     np.testing.assert_allclose(seen.intensity, image.radiant_intensity(), rtol=1e-5)
     np.testing.assert_allclose(seen.variance, image.intensity_error() ** 2, rtol=1e-4)
 

@@ -10,7 +10,7 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir.geometry import bits, greater, item, largest, lesser, lowest_bit, octant, row, smallest, varying
+from jaxir.geometry import bits, greater, item, largest, lesser, lowest_bit, octant, on_platform, row, smallest, varying
 from jaxir.geometry.search._single import DOUBT, NONE, Query, face_at, settled
 from jaxir.geometry.search._tree import FAR, WIDTH, Tree
 
@@ -84,7 +84,7 @@ def _search(tree: Tree, view: View, before: Array, side: int, any_hit: bool) -> 
         return search_tile(scene, Tile(screen[:, 0], screen[:, 1], limit, skip), side, any_hit)
 
     def by_tiles() -> Array:
-        return lax.platform_dependent(
+        return on_platform(
             (screen, limit, skip), cpu=lambda tiles: lax.map(one, tiles), default=lambda tiles: jax.vmap(one)(tiles)
         ).reshape(-1)[:count]
 

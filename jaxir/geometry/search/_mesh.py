@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir._arrays import Check, as_float, enforce, finite
+from jaxir._arrays import Check, as_float, below, enforce, finite
 from jaxir._math import dot
 from jaxir.geometry import Bundle, Hit, Rays, corners_of, reattach, unit_normal
 from jaxir.geometry.search._bundles import View, project, search_bundle
@@ -58,7 +58,7 @@ class Mesh(eqx.Module):
             raise ValueError(
                 f"Mesh.faces: got indices {index.min()} to {index.max()}, expected 0 to {self.vertices.shape[0] - 1}"
             )
-        self.faces = jnp.asarray(index, jnp.int32)
+        self.faces = jax.device_put(index.astype(np.int32))
         if isinstance(self.vertices, jax.core.Tracer):
             if len(index) > HANDFUL:
                 raise ValueError(
@@ -116,8 +116,7 @@ class Mesh(eqx.Module):
 
     def checks(self) -> list[Check]:
         """Vertices are finite and not astronomical."""
-        size = Check("Mesh.vertices", self.vertices, jnp.abs(self.vertices) < _LARGEST, f"values below {_LARGEST:g} m")
-        return [finite("Mesh.vertices", self.vertices), size]
+        return [finite("Mesh.vertices", self.vertices), below("Mesh.vertices", self.vertices, _LARGEST, "m")]
 
 
 def closest_hit(

@@ -11,7 +11,7 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir.geometry import Rays, corners_of, dot, unit_normal, varying
+from jaxir.geometry import Rays, corners_of, dot, on_platform, unit_normal, varying
 from jaxir.geometry.search._bundles import BEYOND, TILE, Tile, dual, project, search_tile, see
 from jaxir.geometry.search._mesh import Mesh, any_hit, off_face
 from jaxir.geometry.search._single import NONE, Query, settled
@@ -137,7 +137,7 @@ def _occluded(
         jnp.pad(x, ((0, -count % size), *[(0, 0)] * (x.ndim - 1))).reshape(-1, size, *x.shape[1:])
         for x in (point, face, active)
     ]
-    place = lax.platform_dependent(
+    place = on_platform(
         *tiles, cpu=partial(_where_active, tile), default=lambda *tiles: jax.vmap(tile)(*tiles)
     ).reshape(-1)[:count]
     return settled(tree, place, (point, face), ask, any_hit=True) >= 0

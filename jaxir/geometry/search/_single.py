@@ -11,7 +11,7 @@ from jax import lax
 from jax.custom_batching import custom_vmap, sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir.geometry import bits, greater, item, lesser, lowest_bit, octant, row, varying, where_some
+from jaxir.geometry import bits, greater, item, lesser, lowest_bit, octant, on_platform, row, varying, where_some
 from jaxir.geometry.search._tree import WIDTH, Tree
 
 NONE = -2  # the place of no face
@@ -73,9 +73,7 @@ def _search(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]:
         with jax.enable_x64(True):
             return _search_ray(tree, _approach(tree, ray, tree.leaves.dtype), any_hit, settle=False)
 
-    place = lax.platform_dependent(
-        query, cpu=lambda query: lax.map(one, query), default=lambda query: jax.vmap(one)(query)
-    )
+    place = on_platform(query, cpu=lambda query: lax.map(one, query), default=lambda query: jax.vmap(one)(query))
     place = settled(tree, place, query, lambda ray: ray, any_hit)
     return face_at(tree, place)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 
 def is_closed(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> bool:
@@ -23,6 +21,9 @@ def is_closed(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> boo
     Returns:
         False is always safe: it only costs speed and an offset.
     """
+    from scipy.sparse import coo_array  # takes as long to import as all of jaxir
+    from scipy.sparse.csgraph import connected_components
+
     merged = _merge(vertices)[faces].astype(np.int64)
     count = np.int64(merged.max()) + 1
     start, stop = merged.ravel(), np.roll(merged, -1, axis=1).ravel()

@@ -16,8 +16,17 @@ from jax.experimental import multihost_utils
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
-from jaxir._arrays import as_float
-from jaxir.imaging import Signature, Views, is_traced, item_by_item, prepare_views, shared_by, view_intensity
+from jaxir._arrays import as_float, key_or_default
+from jaxir.imaging import (
+    Signature,
+    Views,
+    is_traced,
+    item_by_item,
+    prepare_views,
+    shared_by,
+    view_intensity,
+    whole_table,
+)
 from jaxir.io._files import written_whole
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Scene
@@ -76,26 +85,26 @@ def sweep(
         key=key,
         method=Method() if method is None else method,
     )
-    mesh = shared_by(devices, asked.azimuth.shape[0], "views")
+    mesh = shared_by(devices, asked.aspect.shape[0], "views")
     conditions = _conditions(
         scene=scene,
         bands=as_nodes(bands),
         distance=as_float(distance),
         pixels=(shape, samples),
         method=asked.method,
-        key=jax.random.key_data(jax.random.key(0) if key is None else key),
+        key=jax.random.key_data(key_or_default(key)),
     )
     files = _Folder(Path(folder), asked)
-    count, width = asked.azimuth.shape[0], asked.lit.nodes.response.shape[0]
+    count, width = asked.aspect.shape[0], asked.lit.nodes.response.shape[0]
     there = _from_first(lambda: files.finished(conditions), np.zeros(count, bool))
-    to_do = jnp.asarray(np.flatnonzero(~there), jnp.int32)
+    to_do = np.flatnonzero(~there).astype(np.int32)
     for index, found in item_by_item(view_intensity, asked, to_do, "sweep", mesh):
         if jax.process_index() == 0:
-            for place, *values in zip(index.tolist(), *(np.asarray(part) for part in found), strict=True):
+            rows = (np.asarray(part).reshape(index.size, width) for part in found)
+            for place, *values in zip(index.tolist(), *rows, strict=True):
                 files.write(place, *values)
-    empty = np.zeros((3, count, width), asked.azimuth.dtype)
-    intensity, error, truncation = jnp.asarray(_from_first(files.read, empty))
-    return Signature(asked.azimuth, asked.elevation, intensity, error, asked.lit.nodes.names, truncation)
+    empty = np.zeros((3, count, width), asked.aspect.dtype)
+    return whole_table(asked, tuple(jnp.asarray(_from_first(files.read, empty))))
 
 
 class _Folder:
@@ -103,7 +112,7 @@ class _Folder:
 
     def __init__(self, path: Path, views: Views):
         self.path, self.bands = path, views.lit.nodes.names
-        self.aspect = np.stack([np.asarray(views.azimuth), np.asarray(views.elevation)], axis=1)
+        self.aspect = np.asarray(views.aspect)
 
     def view(self, index: int) -> Path:
         return self.path / f"view_{index:06d}.npz"

@@ -12,7 +12,7 @@ import numpy as np
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, enforce, fraction, positive
+from jaxir._arrays import Check, as_float, fraction, on_host, positive, require
 from jaxir._fields import quantity
 from jaxir.optics.gas._gas import AbstractGas, require_cells, require_one_shape, require_uniform, sum_of_mole_fractions
 from jaxir.optics.gas._spline import spline_matrix, spline_weights
@@ -193,19 +193,23 @@ class CorrelatedK(AbstractGas):
     def _fields(self) -> list[Array]:
         return [self.pressure, *self.mole_fractions.values()]
 
+    def node_checks(self, nodes: Nodes) -> list[Check]:
+        """See `Physical.node_checks`: they are those of the tables."""
+        return [check for table in self.tables for check in _matching(table, nodes)]
+
     def absorption(self, nodes: Nodes, temperature: Float[Array, "*cell"]) -> Float[Array, "*cell node"]:
         """See `AbstractGas.absorption`.
 
         Raises:
-            ValueError: fields and temperature differ in shape; nodes that are not those of the tables.
-            RuntimeError: the same for nodes known only at run time.
+            ValueError: fields and temperature differ in shape; nodes, where known, that are not those of the tables.
         """
         require_cells("CorrelatedK", self._fields(), temperature)
+        require(self.node_checks(nodes))
         density = self.pressure / (BOLTZMANN * temperature)
         parts = []
         for table in self.tables:
             amount = self.mole_fractions[table.species]
-            sigma = _matching(table, nodes).at(temperature, self.pressure, amount)
+            sigma = table.at(temperature, self.pressure, amount)
             parts.append((density * amount)[..., None] * sigma)
         return functools.reduce(jnp.add, parts)
 
@@ -231,18 +235,19 @@ class CorrelatedK(AbstractGas):
         ]
 
 
-def _matching(table: CrossSections, nodes: Nodes) -> CrossSections:
-    """`table`, once its nodes are `nodes`."""
+def _matching(table: CrossSections, nodes: Nodes) -> list[Check]:
+    """The nodes of `table` are `nodes`.
+
+    Raises:
+        ValueError: they are not as many.
+    """
     name = f"CorrelatedK: nodes of the table of {table.species}"
     if table.g.shape != nodes.weight.shape:
         raise ValueError(f"{name}: got {nodes.count} nodes, expected the table's {table.g.shape[0]}")
-    pairs = (
-        ("lower", nodes.lower, table.lower, 1e-6 * table.lower),
-        ("upper", nodes.upper, table.upper, 1e-6 * table.upper),
-        ("g", nodes.g[:, quantile_index(table.species)], table.g, jnp.full_like(table.g, 1e-6)),
-    )
-    checks = [
-        Check(f"{name}: {field}", got, jnp.abs(got - expected) <= slack, "the nodes that the table was made for")
-        for field, got, expected, slack in pairs
+    xp, lower, upper, g, *made_for = on_host(nodes.lower, nodes.upper, nodes.g, table.lower, table.upper, table.g)
+    got = {"lower": lower, "upper": upper, "g": g[:, quantile_index(table.species)]}
+    slack = (1e-6 * made_for[0], 1e-6 * made_for[1], 1e-6)
+    return [
+        Check(f"{name}: {field}", value, xp.abs(value - own) <= near, "the nodes that the table was made for")
+        for (field, value), own, near in zip(got.items(), made_for, slack, strict=True)
     ]
-    return enforce(table, checks)

@@ -21,7 +21,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
-from scipy.special import erfcx, ndtr
 
 from jaxir._arrays import as_float
 
@@ -32,6 +31,8 @@ _TERMS = (40, 22)
 
 def inverse_gaussian_cdf(y: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """g(y) and 1 - g(y) of the distribution at the head of this file, on the host in double precision."""
+    from scipy.special import erfcx, ndtr  # here, because fits to tables ask for it alone
+
     root = np.sqrt(b / (2 * y))
     near, far = root * (y - 1), root * (y + 1)
     # e^b Phi(-far) overflows times underflows; far^2 / 2 - b = near^2 / 2 joins the exponents.
@@ -41,6 +42,8 @@ def inverse_gaussian_cdf(y: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.n
 
 def log_quantile_exact(probit: np.ndarray, log_b: np.ndarray) -> np.ndarray:
     """ln y where the distribution function is Phi(probit), by bisection on the host."""
+    from scipy.special import ndtr
+
     probit, log_b = np.broadcast_arrays(probit, log_b)
     low, high = np.full(probit.shape, -40.0), np.full(probit.shape, 20.0)
     for _ in range(60):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, enforce, fraction, positive
+from jaxir._arrays import Check, as_float, fraction, on_host, positive, require
 from jaxir._fields import quantity
 from jaxir.optics._tables import ABSENT, HOT_GAS_EDGES, HOT_GAS_TEMPERATURE, hot_gas, overlap_matrix
 from jaxir.optics.gas._combustion import NITROGEN_PER_OXYGEN
@@ -75,19 +75,21 @@ class NarrowBandGas(AbstractGas):
         if self.h2o is None and self.co2 is None and self.co is None:
             raise ValueError("NarrowBandGas: got no species, expected a mole fraction for h2o, co2 or co")
 
+    def node_checks(self, nodes: Nodes) -> list[Check]:
+        """See `Physical.node_checks`: bins lie above 800 cm-1."""
+        _, lower = on_host(nodes.lower)
+        above = lower >= HOT_GAS_EDGES[0] * (1 - 1e-6)
+        return [Check("nodes.lower", lower, above, "bins above 800 cm-1, where NarrowBandGas starts")]
+
     def absorption(self, nodes: Nodes, temperature: Float[Array, "*cell"]) -> Float[Array, "*cell node"]:
         """See `AbstractGas.absorption`.
 
         Raises:
-            ValueError: fields and temperature differ in shape; a bin reaches below 800 cm-1, where the table ends.
-            RuntimeError: the same for bins known only at run time.
+            ValueError: fields and temperature differ in shape; a bin, where bins are known, reaches below 800 cm-1,
+                where the table ends.
         """
         require_cells("NarrowBandGas", jax.tree.leaves(self), temperature)
-        edge = jnp.asarray(HOT_GAS_EDGES[0] * (1 - 1e-6), nodes.lower.dtype)
-        check = Check(
-            "nodes.lower", nodes.lower, nodes.lower >= edge, "bins above 800 cm-1, where NarrowBandGas starts"
-        )
-        nodes = enforce(nodes, [check])
+        require(self.node_checks(nodes))
         present = {"CO2": self.co2, "H2O": self.h2o, "CO": self.co}
         pressure = jnp.broadcast_to(self.pressure / ATMOSPHERE, temperature.shape)
         parts = [

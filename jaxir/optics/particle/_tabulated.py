@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, increasing, non_negative, positive, require_shape
+from jaxir._arrays import Check, as_float, increasing, non_negative, positive, require, require_shape
 from jaxir._fields import Physical, quantity
 from jaxir.optics._tables import sample_weights
 from jaxir.optics.particle._particles import AbstractParticles, ParticleOptics, exact_difference
@@ -78,14 +78,18 @@ class Particles(AbstractParticles):
     number_density: Float[Array, "*cell"] = quantity("m-3", ("*cell",), non_negative)
     table: ParticleTable
 
+    def node_checks(self, nodes: Nodes) -> list[Check]:
+        """See `Physical.node_checks`: bins lie within the table."""
+        return [bins_inside("Particles", nodes, self.table.wavenumber)]
+
     def optics(self, nodes: Nodes) -> ParticleOptics:
         """See `AbstractParticles.optics`. Bins must lie within the table.
 
         Raises:
-            ValueError: a bin outside the table (RuntimeError where bins are known only at run time).
+            ValueError: a bin outside the table, where bins are known.
         """
+        require(self.node_checks(nodes))
         table = self.table
-        nodes = bins_inside("Particles", nodes, table.wavenumber[jnp.array([0, -1])])
         weight = sample_weights(nodes.lower, nodes.upper, table.wavenumber)
         # Cross-sections of 1e-10 m2 and the phase peak stay far from the limits of float32 in units of their mean.
         unit = jnp.mean(table.extinction)

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxir._arrays import Check, as_float, enforce, float_dtype
+from jaxir._arrays import Check, as_float, float_dtype, on_host
 
 SECOND_RADIATION = 1.4387768775039337  # c2 = h c / k [cm K], exact since 2019 (CODATA 2018)
 
@@ -209,8 +209,8 @@ def wavelength_to_wavenumber(wavelength: Float[Array, "*batch"]) -> Float[Array,
     return jnp.asarray(1e4, wavelength.dtype) / wavelength
 
 
-def bins_inside(name: str, nodes: Nodes, ends: Float[Array, " 2"]) -> Nodes:
-    """`nodes`, once every bin lies between the ends of the table of `name` [cm-1]."""
-    slack = 1e-5 * ends
-    covered = (nodes.lower >= ends[0] - slack[0]) & (nodes.upper <= ends[1] + slack[1])
-    return enforce(nodes, [Check("nodes.lower", nodes.lower, covered, f"bins inside the table of {name}")])
+def bins_inside(name: str, nodes: Nodes, wavenumber: Float[Array, " sample"] | np.ndarray) -> Check:
+    """Every bin lies between the ends of the table of `name` over increasing wavenumbers [sample] [cm-1]."""
+    _, lower, upper, samples = on_host(nodes.lower, nodes.upper, wavenumber)
+    covered = (lower >= samples[0] * (1 - 1e-5)) & (upper <= samples[-1] * (1 + 1e-5))
+    return Check("nodes.lower", lower, covered, f"bins inside the table of {name}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -51,7 +52,7 @@ class BrdfPerFace(AbstractBrdf):
                     f"BrdfPerFace.kinds[{place}]: got parameters of {one.shape()[0]} faces, expected 1 or {index.size}"
                 )
         self.kinds = tuple(kinds)
-        self.kind = jnp.asarray(index, jnp.int32)
+        self.kind = jax.device_put(index.astype(np.int32))
         self.shape()
 
     @property

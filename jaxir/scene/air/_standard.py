@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, positive
+from jaxir._arrays import Check, as_float, positive, require
 from jaxir._fields import quantity
 from jaxir.optics._tables import COLD_PATH_EDGES
 from jaxir.optics.air import (
@@ -58,11 +58,15 @@ class StandardAtmosphere(AbstractAtmosphere):
         """See `AbstractAtmosphere.on`: the radiance is the air's own emission.
 
         Raises:
-            ValueError: a bin outside 800-10000 cm-1 (1-12.5 um); RuntimeError where bins are known only at run time.
+            ValueError: a bin outside 800-10000 cm-1 (1-12.5 um), where bins are known.
         """
-        nodes = bins_inside("StandardAtmosphere", nodes, as_float(COLD_PATH_EDGES[[0, -1]]))
+        require(self.node_checks(nodes))
         air = path_air(self.profile, self.sensor_altitude, self.target_altitude, self.distance)
         return AirPath(path_transmittance(air, nodes), path_emission(air, nodes))
+
+    def node_checks(self, nodes: Nodes) -> list[Check]:
+        """See `Physical.node_checks`: bins lie within 800-10000 cm-1."""
+        return [bins_inside("StandardAtmosphere", nodes, COLD_PATH_EDGES)]
 
     def relations(self) -> list[Check]:
         """The path is long enough for its two altitudes and stays within the profile."""

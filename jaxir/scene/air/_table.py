@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import fraction, increasing, non_negative, positive
+from jaxir._arrays import Check, fraction, increasing, non_negative, positive, require
 from jaxir._fields import quantity
 from jaxir.optics._tables import sample_weights
 from jaxir.optics.spectrum import Nodes, bins_inside
@@ -31,13 +31,17 @@ class TableAtmosphere(AbstractAtmosphere):
         "W m-2 sr-1 / cm-1", ("sample",), non_negative, default=None
     )
 
+    def node_checks(self, nodes: Nodes) -> list[Check]:
+        """See `Physical.node_checks`: bins lie within the table."""
+        return [bins_inside("TableAtmosphere", nodes, self.wavenumber)]
+
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`.
 
         Raises:
-            ValueError: a bin outside the table; RuntimeError where bins are known only at run time.
+            ValueError: a bin outside the table, where bins are known.
         """
-        nodes = bins_inside("TableAtmosphere", nodes, self.wavenumber[jnp.array([0, -1])])
+        require(self.node_checks(nodes))
         weight = sample_weights(nodes.lower, nodes.upper, self.wavenumber)
         added = jnp.zeros_like(nodes.weight)
         if self.spectral_path_radiance is not None:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import as_float, positive
+from jaxir._arrays import as_float, broadcast, positive
 from jaxir._fields import quantity
 from jaxir.geometry import Crossings, Grid, Pieces, Rays, crossings, pdf_box
 from jaxir.medium import CellMedium, Distance, cell_cuts, medium_optics, optical_depth, sample_in_cells
@@ -45,7 +45,7 @@ class GridPlume(AbstractPlume):
         if value.shape not in ((), grid.shape):
             raise ValueError(f"GridPlume.temperature: got shape {value.shape}, expected one value or {grid.shape}")
         self.grid = grid
-        self.temperature = jnp.broadcast_to(value, grid.shape)
+        self.temperature = broadcast(value, grid.shape)
         self.gas = gas
         if particles is not None and particles.cells not in ((), grid.shape):
             raise ValueError(f"GridPlume.particles: got cells {particles.cells}, expected none or {grid.shape}")

@@ -1,0 +1,160 @@
+"""What the first answer costs: programs compiled, once for one structure, kept on disk, and what import loads."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import monitoring
+
+import jaxir
+from jaxir import MWIR
+from jaxir._cache import _SUFFIX
+
+ROOT = Path(__file__).parent.parent
+GRID = jaxir.Grid((-1.0, -0.5, -0.5), (0.25, 0.25, 0.25), (4, 4, 4))
+PLATE = jaxir.Mesh([[0.0, -1, -1], [0, 1, -1], [0, 0, 1]], [[0, 1, 2]])
+SUN = jaxir.ParallelSource((-1.0, 0.0, 0.0), 10.0)
+CAMERA = jaxir.orthographic_camera(0, 10, 0.1, (16, 16))
+COMPILED = []
+monitoring.register_event_duration_secs_listener(
+    lambda event, seconds, **_: COMPILED.append(seconds) if event.endswith("backend_compile_duration") else None
+)
+
+
+def scene(x):
+    """A sunlit plate behind hot gas; x: emissivity, temperature of the gas."""
+    skin = jaxir.Skin(PLATE, 300.0, jaxir.Lambert(x[0]))
+    return jaxir.Scene(skin, jaxir.GridPlume(GRID, x[1], jaxir.GrayGas(0.5)), SUN)
+
+
+QUANTITIES = {
+    "render": lambda x: jaxir.render(scene(x), CAMERA, MWIR, samples=2).radiant_intensity()[0],
+    "signature": lambda x: jaxir.signature(scene(x), [(0, 10)], MWIR, samples=2, shape=(16, 16)).intensity[0, 0],
+    "faces": lambda x: jaxir.unoccluded_intensity(
+        jaxir.Scene(jaxir.Skin(PLATE, x[1] / 3, jaxir.Lambert(x[0]))), 0, 10, MWIR
+    )[0],
+    "plume": lambda x: jaxir.plume_intensity(jaxir.Scene(None, scene(x).plumes), 0, 10, MWIR, rays=64)[0],
+}
+TRANSFORMATIONS = {
+    "grad": jax.grad,
+    "jvp": lambda f: lambda x: jax.jvp(f, (x,), (x,)),
+    "jacfwd": jax.jacfwd,
+    "vmap": lambda f: lambda x: jax.vmap(f)(jnp.stack([x, x * 0.9])),
+}
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("transformation", TRANSFORMATIONS)
+def test_no_program_is_compiled_twice_for_one_structure(quantity, transformation):
+    found = TRANSFORMATIONS[transformation](QUANTITIES[quantity])
+    first = found(jnp.asarray([0.8, 900.0]))
+    del COMPILED[:]
+    second = found(jnp.asarray([0.7, 800.0]))
+    assert not COMPILED
+    assert all(np.any(a != b) for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True))
+
+
+def test_hessian_of_a_gridded_plume_is_the_slope_of_its_gradient(x64):
+    grid = jaxir.Grid((-1.0, -0.5, -0.5), (0.25, 0.25, 0.25), (4, 4, 4))
+
+    def intensity(x):
+        return jaxir.plume_intensity(
+            jaxir.Scene(None, jaxir.GridPlume(grid, x[1], jaxir.GrayGas(x[0]))), 30, 10, MWIR, rays=64
+        )[0]
+
+    x, step = jnp.asarray([0.5, 900.0]), 1e-5
+    slope = jax.grad(intensity)
+    for axis, size in enumerate((0.5, 900.0)):
+        change = step * size * jnp.eye(2)[axis]
+        difference = (slope(x + change) - slope(x - change)) / (2 * step * size)
+        np.testing.assert_allclose(jax.hessian(intensity)(x)[axis], difference, rtol=1e-6)
+
+
+def test_a_render_compiles_five_programs():
+    # the key, the scene on the nodes, a chunk of the image, the whole image, its intensity
+    code = """
+from test_cold_start import CAMERA, COMPILED, MWIR, jaxir, scene
+image = jaxir.render(scene((0.8, 900.0)), CAMERA, MWIR)
+image.radiant_intensity()
+print(len(COMPILED))
+"""
+    assert int(run(code, JAXIR_CACHE="0")[-1]) <= 5
+
+
+def test_import_loads_no_heavy_library():
+    heavy = ["matplotlib", "optimistix", "scipy.sparse", "trimesh"]
+    assert run(f"import sys, jaxir; print([m for m in {heavy} if m in sys.modules])", JAXIR_CACHE="0") == ["[]"]
+
+
+# The cache on disk ----------------------------------------------------------------------------------------------------
+
+ANSWER = """
+import sys
+from test_cold_start import CAMERA, MWIR, jaxir, scene
+print(jaxir.compilation_cache())
+print(jaxir.render(scene((0.8, 900.0)), CAMERA, MWIR).radiant_intensity())
+"""
+
+
+def run(code, **variables):
+    path = f"{ROOT}{os.pathsep}{ROOT / 'tests'}"
+    environment = {**os.environ, "PYTHONPATH": path, "JAX_PLATFORMS": "cpu"} | variables
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stdout.strip().splitlines()
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    """A folder with the programs of `ANSWER`, and what that printed."""
+    folder = tmp_path_factory.mktemp("cache") / "programs"
+    return folder, run(ANSWER, JAXIR_CACHE=str(folder))
+
+
+def test_programs_are_kept_in_a_private_folder_and_found_again(filled):
+    folder, (state, answer) = filled
+    assert state == f"compilation cache: {folder}, set by jaxir (JAXIR_CACHE=0 prevents it)"
+    assert folder.stat().st_mode & 0o777 == 0o700
+    before = {file.name for file in folder.iterdir()}
+    assert len(before) >= 4 and all(name.endswith(_SUFFIX) for name in before)
+    assert run(ANSWER, JAXIR_CACHE=str(folder)) == [state, answer]
+    assert {file.name for file in folder.iterdir()} == before
+
+
+def test_damaged_files_are_compiled_anew(filled):
+    folder, (state, answer) = filled
+    rng = np.random.default_rng(0)
+    for number, file in enumerate(sorted(folder.iterdir())):
+        content = bytearray(file.read_bytes())
+        if number % 3 == 0:
+            content[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
+        file.write_bytes((bytes(content), content[: len(content) // 2], b"")[number % 3])
+    assert run(ANSWER, JAXIR_CACHE=str(folder)) == [state, answer]
+
+
+def test_folders_that_cannot_be_used_are_left_alone(tmp_path, filled):
+    _, (_, answer) = filled
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    open_to_all = tmp_path / "open"
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
+    for folder, why in ((blocked / "programs", "Not a directory"), (open_to_all, "others can write")):
+        state, found = run(ANSWER, JAXIR_CACHE=str(folder))
+        assert state.startswith("compilation cache: off, because") and why in state
+        assert found == answer
+    assert list(open_to_all.iterdir()) == []
+
+
+def test_the_user_decides():
+    code = "import jaxir; print(jaxir.compilation_cache())"
+    assert run(code, JAXIR_CACHE="0") == ["compilation cache: off, because JAXIR_CACHE says so"]
+    named = "import jax; jax.config.update('jax_compilation_cache_dir', '/named'); " + code
+    assert run(named, JAXIR_CACHE="") == ["compilation cache: /named, as jax_compilation_cache_dir says"]
