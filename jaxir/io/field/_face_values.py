@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import itertools
 import os
-import zipfile
-import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+
+from jaxir._arrays import float_dtype
+from jaxir.io._array_files import array_names, load_arrays
+from jaxir.io._files import csv_rows, to_number
 
 
 def load_array(path: str | os.PathLike, array: str | None = None) -> np.ndarray:
@@ -28,18 +27,19 @@ def load_array(path: str | os.PathLike, array: str | None = None) -> np.ndarray:
             or not finite; names file and place.
     """
     file = Path(path)
-    held = _arrays(file)
-    name = array if array is not None else (next(iter(held)) if len(held) == 1 else None)
-    if name not in held:
+    held = array_names(file)
+    name = array if array is not None else (held[0] if len(held) == 1 else None)
+    if name is None or name not in held:
         raise ValueError(f"{file}: got array {array!r}, expected one of {', '.join(held) or 'none'}")
-    value = held[name]
+    value = load_arrays(file, [name])[name]
     if not np.issubdtype(value.dtype, np.number) or np.issubdtype(value.dtype, np.complexfloating):
         raise ValueError(f"{file}: {name} holds {value.dtype}, expected numbers")
-    bad = np.argwhere(~np.isfinite(value))
+    value = value.astype(np.float64)
+    bad = np.argwhere(~(np.abs(value) <= _largest()))
     if bad.size:
         place = tuple(int(i) for i in bad[0])
         raise ValueError(f"{file}: {name} is {value[place]} at {list(place)}, expected finite numbers")
-    return value.astype(np.float64)
+    return value
 
 
 def load_face_values(path: str | os.PathLike, count: int, column: str = "temperature") -> np.ndarray:
@@ -67,23 +67,11 @@ def load_face_values(path: str | os.PathLike, count: int, column: str = "tempera
     if file.suffix not in (".npz", ".npy"):
         raise ValueError(f"{file}: expected a file name that ends in .csv, .npz or .npy")
     value = load_array(file, column if file.suffix == ".npz" else None)
-    if file.suffix == ".npz" and "face" in _arrays(file):
+    if file.suffix == ".npz" and "face" in array_names(file):
         return _by_face(file, load_array(file, "face"), value, count)
     if value.shape != (count,):
         raise ValueError(f"{file}: {column} has shape {value.shape}, expected ({count},), one value per face")
     return value
-
-
-def _arrays(file: Path) -> dict[str, np.ndarray]:
-    """Every array of a file by name; that of an NPY file is called `array`."""
-    if not file.is_file():
-        raise ValueError(f"{file}: no such file")
-    try:
-        with file.open("rb") as stream:
-            held = np.load(stream, allow_pickle=False)
-            return {"array": held} if isinstance(held, np.ndarray) else {name: held[name] for name in held.files}
-    except (OSError, EOFError, ValueError, KeyError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
-        raise ValueError(f"{file}: not readable as NPZ or NPY ({type(error).__name__}: {error})") from error
 
 
 def _by_face(file: Path, face: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
@@ -103,18 +91,17 @@ def _by_face(file: Path, face: np.ndarray, value: np.ndarray, count: int) -> np.
 
 
 def _from_csv(file: Path, count: int, column: str) -> np.ndarray:
-    rows = _rows(file)
-    first = next(rows, None)
-    if first is None:
+    rows = csv_rows(file)
+    if not rows:
         raise ValueError(f"{file}: holds no values, expected {count}, one per face")
-    header = [cell.strip() for cell in first[1]]
+    header = [cell.strip() for cell in rows[0][1]]
     if len(header) == 1 and _is_number(header[0]):
-        header, rows = [column], itertools.chain([first], rows)
-    if column not in header:
-        raise ValueError(f"{file}:{first[0]}: got columns {', '.join(header)}, expected {column}")
+        header, rows = [column], [rows[0], *rows]
+    if column not in header or len(set(header)) < len(header):
+        raise ValueError(f"{file}:{rows[0][0]}: got columns {', '.join(header)}, expected {column}, each once")
     faces: list[float] = []
     values: list[float] = []
-    for line, cells in rows:
+    for line, cells in rows[1:]:
         if len(cells) != len(header):
             raise ValueError(f"{file}:{line}: got {len(cells)} columns, expected {len(header)}")
         if len(values) == count:
@@ -127,28 +114,20 @@ def _from_csv(file: Path, count: int, column: str) -> np.ndarray:
     return _by_face(file, np.array(faces), np.array(values), count) if faces else np.array(values)
 
 
-def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of every line that is neither empty nor a comment."""
-    if not file.is_file():
-        raise ValueError(f"{file}: no such file")
-    try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            for line, cells in enumerate(csv.reader(stream), 1):
-                if "".join(cells).strip() and not cells[0].lstrip().startswith("#"):
-                    yield line, cells
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{file}: not readable as CSV ({error})") from error
-
-
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        to_number(text)
     except ValueError:
         return False
     return True
 
 
 def _number(file: Path, line: int, text: str) -> float:
-    if not _is_number(text) or not np.isfinite(float(text)):
-        raise ValueError(f"{file}:{line}: got {text.strip()!r}, expected a finite number")
-    return float(text)
+    if not _is_number(text) or not abs(to_number(text)) <= _largest():
+        raise ValueError(f"{file}:{line}: got {text.strip()[:60]!r}, expected a finite number")
+    return to_number(text)
+
+
+def _largest() -> float:
+    """Beyond which numbers become infinite in the floating dtype in force."""
+    return float(np.finfo(float_dtype()).max)

@@ -1,4 +1,4 @@
-"""Meshes from files: OBJ, and through trimesh whatever it reads."""
+"""Meshes from files: OBJ, OFF, PLY and STL, and through trimesh whatever else it reads."""
 
 from __future__ import annotations
 
@@ -13,9 +13,16 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from jaxir.geometry.search import Mesh
+from jaxir.io._files import require_file
+from jaxir.io.mesh._file_mesh import FileMesh, require_corners
 from jaxir.io.mesh._obj import read_obj
+from jaxir.io.mesh._off import read_off
+from jaxir.io.mesh._ply import read_ply
+from jaxir.io.mesh._stl import read_stl
 
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048}
+FARTHEST = 1e9  # [m] of a coordinate, as of `Mesh`
+_READERS = {".obj": read_obj, ".off": read_off, ".ply": read_ply, ".stl": read_stl}
 
 
 class Body(NamedTuple):
@@ -47,28 +54,34 @@ def load_mesh(path: str | os.PathLike, *, unit: str) -> Body:
         for formats without objects (see `split_bodies`).
 
     Raises:
-        ValueError: unknown unit, no such file, unreadable file, no triangles, coordinates that are not finite; the
+        ValueError: unknown unit, no such file, unreadable or cut file, fewer or more faces than its header says, a
+            face with a corner that is no vertex, no triangles, coordinates that are not finite or 1e9 m or more; the
             message names the file.
     """
     file = Path(path)
     if unit not in METRES:
         raise ValueError(f"unit: got {unit!r}, expected one of {', '.join(METRES)}")
-    if not file.is_file():
-        raise ValueError(f"{file}: no such file")
+    require_file(file)
     vertices, all_faces, part, names = _read(file)
     if len(all_faces) == 0:
         raise ValueError(f"{file}: holds no triangles")
-    all_vertices = vertices * METRES[unit]
-    bad = np.flatnonzero(~np.isfinite(all_vertices).all(axis=1))
+    with np.errstate(over="ignore"):
+        all_vertices = vertices * METRES[unit]
+    bad = np.flatnonzero(~(np.abs(all_vertices) < FARTHEST).all(axis=1))
     if bad.size:
-        raise ValueError(f"{file}: vertex {bad[0]} is {all_vertices[bad[0]]}, expected finite coordinates")
+        raise ValueError(
+            f"{file}: vertex {bad[0]} is {all_vertices[bad[0]]} m, expected finite coordinates below {FARTHEST:g} m"
+        )
     flat = zero_area_faces(all_vertices, all_faces)
     if flat.size == len(all_faces):
         raise ValueError(f"{file}: all {flat.size} faces have zero area")
     if flat.size:
         shown = ", ".join(str(f) for f in flat[:10]) + (", ..." if flat.size > 10 else "")
         warnings.warn(f"{file}: {flat.size} faces have zero area and are never hit: {shown}", stacklevel=2)
-    return Body(Mesh(all_vertices, all_faces), part, names)
+    try:
+        return Body(Mesh(all_vertices, all_faces), part, names)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
 
 
 def split_bodies(body: Body) -> Body:
@@ -87,16 +100,26 @@ def split_bodies(body: Body) -> Body:
     return Body(body.mesh, rank[part.reshape(-1)].astype(np.int32), tuple(f"body_{i}" for i in range(first.size)))
 
 
-def _read(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Vertices, faces, part of each face and names of the parts, in the file's unit."""
-    if file.suffix.lower() == ".obj":
-        return read_obj(file)
-    if file.suffix.lower() == ".stl":
-        _require_whole_stl(file)
+def _read(file: Path) -> FileMesh:
+    """What the file holds, by the ending of its name."""
+    ending = file.suffix.lower()
+    if ending in _READERS:
+        return _READERS[ending](file)
+    if ending == ".glb":
+        _require_whole_glb(file)
     try:
-        loaded = trimesh.load_scene(str(file), process=False)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            return _by_trimesh(file)
     except Exception as error:  # trimesh's readers raise whatever their parsers do
+        if isinstance(error, ValueError) and str(error).startswith(f"{file}: "):
+            raise
         raise ValueError(f"{file}: not readable as a mesh ({type(error).__name__}: {error})") from error
+
+
+def _by_trimesh(file: Path) -> FileMesh:
+    """Every object that trimesh finds, placed as the file says."""
+    loaded = trimesh.load_scene(str(file), process=False)
     vertices, faces, part = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
     names: list[str] = []
     offset = 0
@@ -106,28 +129,33 @@ def _read(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ..
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
             continue
         points = np.asarray(geometry.vertices, np.float64)
+        corners = np.asarray(geometry.faces, np.int64)
+        require_corners(file, corners, len(points))
         vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
-        faces.append(np.asarray(geometry.faces, np.int64) + offset)
-        part.append(np.full(len(geometry.faces), len(names), np.int32))
+        faces.append(corners + offset)
+        part.append(np.full(len(corners), len(names), np.int32))
         names.append(str(name))
         offset += len(points)
-    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(part), tuple(names)
+    return FileMesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(part), tuple(names))
 
 
-def _require_whole_stl(file: Path) -> None:
-    """Raise `ValueError` for an STL file that is cut, which its readers take for one without triangles."""
+def _require_whole_glb(file: Path) -> None:
+    """Raise `ValueError` for a GLB file that is cut, or whose chunks do not fill it."""
     size = file.stat().st_size
     with file.open("rb") as stream:
-        head = stream.read(84)
-        stream.seek(-min(size, 1024), os.SEEK_END)
-        tail = stream.read()
-    whole = 84 + 50 * int.from_bytes(head[80:84], "little")
-    if len(head) == 84 and size >= whole:
-        return
-    if not head.lstrip().lower().startswith(b"solid"):
-        raise ValueError(f"{file}: got {size} bytes, expected {whole} as its header says: the file is cut")
-    if b"endsolid" not in tail.lower():
-        raise ValueError(f"{file}: got no endsolid at its end, expected one: the file is cut")
+        head = stream.read(12)
+        said = int.from_bytes(head[8:], "little")
+        if head[:4] != b"glTF":
+            raise ValueError(f"{file}: not readable as a mesh (got {head[:4]!r} at its start, expected glTF)")
+        if said != size:
+            raise ValueError(f"{file}: got {size} bytes, expected {said} as its header says: cut or damaged")
+        place = 12
+        while place < size:
+            chunk = stream.read(8)
+            place += 8 + int.from_bytes(chunk[:4], "little")
+            if len(chunk) < 8 or place > size:
+                raise ValueError(f"{file}: got {size} bytes, expected at least {place} as its chunks say: it is cut")
+            stream.seek(place)
 
 
 def zero_area_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
+from jaxir.io._files import to_number
+from jaxir.io.mesh._file_mesh import FileMesh
 
-class ObjMesh(NamedTuple):
-    """What an OBJ file holds.
-
-    Attributes:
-        vertices: [vertex, 3], in the file's unit.
-        faces: triangles [face, 3]; a polygon is cut into a fan from its first corner.
-        part: index of each face's name [face].
-        part_names: the names, in the order in which faces take them.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    part: np.ndarray
-    part_names: tuple[str, ...]
+_IGNORED = frozenset(
+    (
+        "vt vn vp p l s mg lod bevel c_interp d_interp shadow_obj trace_obj mtllib usemap maplib call csh cstype deg "
+        "bmat step curv curv2 surf parm trim hole scrv sp end con stech ctech res bzp bsp cdc cdp"
+    ).split()
+)  # words of the format that tell nothing of triangles
 
 
-def read_obj(file: Path) -> ObjMesh:
+def read_obj(file: Path) -> FileMesh:
     """Read an OBJ file.
 
     A face belongs to the object (`o`) or group (`g`) named last; in a file that names neither, to its material
@@ -37,7 +30,7 @@ def read_obj(file: Path) -> ObjMesh:
         The mesh; without any name its only part is called after the file.
 
     Raises:
-        ValueError: a vertex or face that is not one; names file and line.
+        ValueError: a vertex or face that is not one, a line that OBJ does not know; names file and line.
     """
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
@@ -51,27 +44,31 @@ def read_obj(file: Path) -> ObjMesh:
                 continue
             try:
                 if words[0] == "v":
-                    vertices.append([float(word) for word in words[1:4]])
+                    vertices.append([to_number(word) for word in words[1:4]])
                     if len(vertices[-1]) != 3:
                         raise ValueError("fewer than three coordinates")
                 elif words[0] == "f":
                     corner = [_index(word, len(vertices)) for word in words[1:]]
+                    if len({word.count("/") for word in words[1:]}) > 1:
+                        raise ValueError("expected corners of one form")
                     if len(corner) < 3:
                         raise ValueError("fewer than three corners")
                     fan = [[corner[0], corner[i], corner[i + 1]] for i in range(1, len(corner) - 1)]
                     faces += fan
                     objects += [current] * len(fan)
                     materials += [material] * len(fan)
+                elif words[0] in ("o", "g"):
+                    current = " ".join(words[1:])
+                elif words[0] == "usemtl":
+                    material = " ".join(words[1:])
+                elif not words[0].startswith("#") and words[0] not in _IGNORED:
+                    raise ValueError("expected a word of the OBJ format, as v or f")
             except ValueError as error:
                 raise ValueError(f"{file}:{line}: got {written.strip()[:60]!r}, {error}") from None
-            if words[0] in ("o", "g"):
-                current = " ".join(words[1:])
-            elif words[0] == "usemtl":
-                material = " ".join(words[1:])
     named = objects if any(objects) else materials
     names = tuple(dict.fromkeys(named))
     place = {name: i for i, name in enumerate(names)}
-    return ObjMesh(
+    return FileMesh(
         np.array(vertices, np.float64).reshape(-1, 3),
         np.array(faces, np.int64).reshape(-1, 3),
         np.array([place[name] for name in named], np.int32),

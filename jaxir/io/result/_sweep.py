@@ -27,12 +27,15 @@ from jaxir.imaging import (
     view_intensity,
     whole_table,
 )
-from jaxir.io._files import written_whole
+from jaxir.io._array_files import load_arrays
+from jaxir.io._files import read_text, remove_parts, written_whole
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Scene
 from jaxir.transport import Method
 
 CONDITIONS = "conditions.json"
+_VALUES = ("intensity", "standard_error", "truncation")
+_DAMAGED = "got a damaged file, expected a finished view; delete it to repeat it"
 
 
 def sweep(
@@ -51,7 +54,8 @@ def sweep(
     """As `jaxir.signature`, but each view is written when it is finished, and views already written are not computed.
 
     Called again after it was killed, it goes on where it stopped: at most the views under way, one of each device, are
-    lost. The numbers are those of a sweep in one go. In many processes the first one reads and writes the folder.
+    lost. The numbers are those of a sweep in one go. In many processes the first one reads and writes the folder; two
+    sweeps must not share one at a time, because each removes the parts of files that a killed one left.
 
     Args:
         folder: made if it does not exist; one NPZ of each view, and `conditions.json`, by which a folder begun under
@@ -123,8 +127,10 @@ class _Folder:
             raise ValueError(f"{self.path}: the folder {self.path.parent} does not exist")
         self.path.mkdir(exist_ok=True)
         file = self.path / CONDITIONS
+        for names in (CONDITIONS, "view_*.npz"):
+            remove_parts(self.path, names)
         if file.exists():
-            begun = json.loads(file.read_text())
+            begun = _begun(file)
             other = [name for name in {**begun, **conditions} if begun.get(name) != conditions.get(name)]
             if other:
                 raise ValueError(
@@ -161,11 +167,14 @@ class _Folder:
     def _load(self, index: int) -> np.ndarray:
         file = self.view(index)
         try:
-            with np.load(file) as data:
-                aspect = np.array([data["azimuth"], data["elevation"]])
-                found = np.stack([data["intensity"], data["standard_error"], data["truncation"]])
-        except Exception as error:
-            raise ValueError(f"{file}: got a damaged file, expected a finished view; delete it to repeat it") from error
+            data = load_arrays(file)
+            aspect = np.array([data["azimuth"], data["elevation"]])
+            found = np.stack([data[name].astype(self.aspect.dtype) for name in _VALUES])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{file}: {_DAMAGED} ({error})") from error
+        whole = found.shape[1:] == (len(self.bands),) and np.isfinite(found[:2]).all() and (found[1] >= 0).all()
+        if not whole or data.get("bands", np.array([])).tolist() != list(self.bands):
+            raise ValueError(f"{file}: {_DAMAGED} (with finite values of {', '.join(self.bands)})")
         if not np.array_equal(aspect, self.aspect[index]):
             raise ValueError(
                 f"{file}: got the view from {aspect.tolist()} deg, expected that from {self.aspect[index].tolist()}; "
@@ -174,13 +183,25 @@ class _Folder:
         return found
 
 
+def _begun(file: Path) -> dict[str, str]:
+    """The conditions under which a sweep was begun."""
+    try:
+        begun = json.loads(read_text(file))
+    except (ValueError, RecursionError) as error:
+        said = str(error) if str(error).startswith(f"{file}:") else f"{file}: {error}"
+        raise ValueError(f"{said}, expected the conditions of a sweep; use another folder") from error
+    if not isinstance(begun, dict):
+        raise ValueError(f"{file}: got a {type(begun).__name__}, expected a table of conditions; use another folder")
+    return begun
+
+
 def _from_first(find: Callable[[], Any], like: Any) -> Any:
     """What the first process finds, in every process; `like` has its shapes."""
     found, error = like, None
     if jax.process_index() == 0:
         try:
             found = find()
-        except ValueError as caught:
+        except (OSError, ValueError) as caught:
             error = caught
     good, found = multihost_utils.broadcast_one_to_all((np.asarray(error is None), found))
     if error is not None:

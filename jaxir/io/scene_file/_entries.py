@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxir._arrays import enforce
+from jaxir._arrays import enforce, float_dtype
+from jaxir.io._files import read_text, require_file
 from jaxir.io.field import load_array
 
 LARGEST_FILE = 64 * 2**20  # bytes of a scene file
@@ -87,13 +88,14 @@ def read_toml(path: Path) -> Entry:
     Raises:
         ValueError: no such file, too large, not UTF-8, not TOML; names file and, where there is one, line.
     """
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file")
+    require_file(path)
     if path.stat().st_size > LARGEST_FILE:
         raise ValueError(f"{path}: got {path.stat().st_size} bytes, expected a scene file of at most {LARGEST_FILE}")
     try:
-        return Entry(path, "", tomllib.loads(path.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        return Entry(path, "", tomllib.loads(read_text(path, "utf-8")))
+    except (ValueError, RecursionError) as error:  # also of integers too long to be read
+        if str(error).startswith(f"{path}:"):
+            raise
         raise ValueError(f"{path}: not readable as TOML ({error})") from error
 
 
@@ -142,8 +144,10 @@ def sizes(entry: Entry) -> tuple[int, ...]:
 
 def number(entry: Entry) -> float:
     """A finite number."""
-    if isinstance(entry.value, bool) or not isinstance(entry.value, _LEAF) or not math.isfinite(entry.value):
+    if isinstance(entry.value, bool) or not isinstance(entry.value, _LEAF):
         raise entry.wrong("a finite number")
+    if not abs(entry.value) <= np.finfo(float_dtype()).max:
+        raise entry.wrong(f"a finite number in {float_dtype()}")
     return float(entry.value)
 
 
@@ -154,6 +158,9 @@ def positive_or_infinite(entry: Entry) -> float:
     if number(entry) <= 0:
         raise entry.wrong("a number > 0 or inf")
     return float(entry.value)
+
+
+_OF_TYPE = {"float": number, "float | None": number, "int": integer}  # by the annotation of a parameter
 
 
 def numbers(entry: Entry) -> float | np.ndarray:
@@ -218,7 +225,8 @@ def construct(entry: Entry, constructor: Callable, readers: Mapping[str, Reader]
     Args:
         entry: the table; a key `type` is not looked at.
         constructor: class or function.
-        readers: how values are read, by parameter; `numbers` reads the others.
+        readers: how values are read, by parameter; of the others those annotated as one number are read as one, the
+            rest by `numbers`.
         known: parameters that are no keys, with their values.
 
     Returns:
@@ -231,7 +239,7 @@ def construct(entry: Entry, constructor: Callable, readers: Mapping[str, Reader]
     given = arguments(entry, constructor, readers, tuple(known))
     try:
         return checked(constructor(**known, **given))
-    except (ValueError, ImportError) as error:
+    except (ValueError, TypeError, ArithmeticError, LookupError, ImportError) as error:
         raise entry.failed(error) from error
 
 
@@ -242,7 +250,12 @@ def arguments(
     parameters = {n: p for n, p in inspect.signature(constructor).parameters.items() if n not in known}
     required = [name for name, parameter in parameters.items() if parameter.default is parameter.empty]
     children = entry.only(["type", *parameters], required)
-    return {name: readers.get(name, numbers)(child) for name, child in children.items() if name != "type"}
+    annotated = {name: _OF_TYPE.get(parameter.annotation, numbers) for name, parameter in parameters.items()}
+    return {
+        name: readers.get(name, annotated.get(name, numbers))(child)
+        for name, child in children.items()
+        if name != "type"
+    }
 
 
 def checked(built: Any) -> Any:

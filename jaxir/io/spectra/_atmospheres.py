@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 import re
@@ -10,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, float_dtype
+from jaxir.io._files import csv_rows, read_text, to_number
 from jaxir.scene.air import TableAtmosphere
 
 _W_PER_CM2 = 1e4  # W cm-2 in W m-2
@@ -30,15 +30,12 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
         The path, in ascending wavenumber.
 
     Raises:
-        ValueError: a column is missing, a line is not numeric or has too few columns, wavenumbers do not change in
-            one direction, a transmittance lies outside [0, 1] or a radiance is negative; names file and line.
+        ValueError: a column is missing, a line is not numeric, has another number of columns or is cut, wavenumbers
+            do not change in one direction, a transmittance lies outside [0, 1] or a radiance is negative; names file
+            and line.
     """
     file = Path(path)
-    lines = [
-        (number, next(csv.reader([text])))
-        for number, text in enumerate(file.read_text(encoding="utf-8-sig").splitlines(), 1)
-        if text.strip() and not text.lstrip().startswith("#")
-    ]
+    lines = csv_rows(file)
     if not lines:
         raise ValueError(f"{file}: got no lines, expected a header and samples")
     header = [name.strip() for name in lines[0][1]]
@@ -50,7 +47,7 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
     wanted = [spectral, "transmittance", *(["path_radiance"] if "path_radiance" in header else [])]
     table = _Table(file)
     for number, cells in lines[1:]:
-        if len(cells) < len(header):
+        if len(cells) != len(header):
             raise ValueError(f"{file}:{number}: got {len(cells)} columns, expected {len(header)}")
         values = [table.number(number, name, cells[header.index(name)]) for name in wanted]
         if spectral == "wavelength_um":
@@ -81,7 +78,7 @@ def load_tape7(path: str | os.PathLike) -> TableAtmosphere:
             names file and line.
     """
     file = Path(path)
-    lines = file.read_text(encoding="ascii", errors="replace").splitlines()
+    lines = read_text(file, "latin-1").splitlines()
     start = next((i for i, line in enumerate(lines) if line.split()[:1] == ["FREQ"]), None)
     if start is None:
         raise ValueError(f"{file}: got no header line that starts with FREQ, expected MODTRAN's tape7 in wavenumbers")
@@ -132,27 +129,32 @@ class _Table:
         if blank and not text.strip():
             return 0.0
         try:
-            value = float(text)
+            value = to_number(text)
         except ValueError:
-            raise ValueError(f"{self.file}:{line}: got {text.strip()!r} for {name}, expected a number") from None
+            raise ValueError(f"{self.file}:{line}: got {text.strip()[:60]!r} for {name}, expected a number") from None
         if not math.isfinite(value):
             raise ValueError(f"{self.file}:{line}: got {value} for {name}, expected a finite number")
         return value
 
     def add(self, line: int, wavenumber: float, transmittance: float, radiance: float) -> None:
+        for name, value in (("wavenumber", wavenumber), ("path radiance", radiance)):
+            if not abs(value) <= np.finfo(float_dtype()).max:
+                raise ValueError(f"{self.file}:{line}: got {name} {value}, expected a finite number in {float_dtype()}")
         if not -1e-9 <= transmittance <= 1 + 1e-9:
             raise ValueError(f"{self.file}:{line}: got transmittance {transmittance}, expected one in [0, 1]")
         if radiance < 0:
             raise ValueError(f"{self.file}:{line}: got path radiance {radiance}, expected one >= 0")
-        if wavenumber <= 0:
+        if _rounded(wavenumber) <= 0:
             raise ValueError(f"{self.file}:{line}: got wavenumber {wavenumber}, expected one > 0")
         before = self.samples
         if len(before) > 1 and (wavenumber - before[-1][1]) * (before[-1][1] - before[-2][1]) <= 0:
             raise ValueError(
                 f"{self.file}:{line}: got wavenumber {wavenumber} after {before[-1][1]}, expected a monotonic column"
             )
-        if before and wavenumber == before[-1][1]:
-            raise ValueError(f"{self.file}:{line}: got wavenumber {wavenumber} twice, expected different ones")
+        if before and _rounded(wavenumber) == _rounded(before[-1][1]):
+            raise ValueError(
+                f"{self.file}:{line}: got wavenumber {wavenumber} twice (in {float_dtype()}), expected different ones"
+            )
         before.append((line, wavenumber, min(max(transmittance, 0.0), 1.0), radiance))
 
     def atmosphere(self) -> TableAtmosphere:
@@ -161,3 +163,8 @@ class _Table:
         table = np.array([sample[1:] for sample in self.samples])
         table = table if table[-1, 0] > table[0, 0] else table[::-1]
         return TableAtmosphere(*(as_float(column) for column in table.T))
+
+
+def _rounded(value: float) -> float:
+    """A number as it is in the floating dtype in force."""
+    return float(float_dtype().type(value))

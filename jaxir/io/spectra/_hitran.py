@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from jaxir.io._files import require_file
+
 MOLECULES = (
     "H2O CO2 O3 N2O CO CH4 O2 NO SO2 NO2 NH3 HNO3 OH HF HCl HBr HI ClO OCS H2CO HOCl N2 HCN CH3Cl H2O2 C2H2 C2H6 PH3"
 ).split()
@@ -62,9 +64,7 @@ def check_line_file(path: str | os.PathLike, progress: bool = True) -> LineFile:
         ValueError: no such file, no lines, a line of another length or without an end, a molecule that is unknown or
             differs from the first line's, an isotopologue or a number that is not one; names file and line.
     """
-    file = Path(path)
-    if not file.is_file():
-        raise ValueError(f"{file}: no such file")
+    file = require_file(path)
     digest, count, molecule = hashlib.sha256(), 0, -1
     isotopes: set[int] = set()
     with (

@@ -6,13 +6,13 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, float_dtype
+from jaxir.io._array_files import load_arrays
 from jaxir.io._files import written_whole
 from jaxir.optics.air import altitude_along
 from jaxir.optics.gas import BOLTZMANN, CrossSections, at_quantiles, slot_means
@@ -207,32 +207,74 @@ def load_k_tables(path: str | os.PathLike) -> KTables:
     """Read tables from an NPZ.
 
     Raises:
-        ValueError: not such a file, or one whose arrays do not fit together; names the file.
+        ValueError: not such a file, one whose arrays do not fit together, edges that do not rise, a quantile, weight,
+            response or transmittance outside its range, values that are not finite; names the file and the array.
     """
     file = Path(path)
-    try:
-        with open(file, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            found = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, BadZipFile) as error:
-        raise ValueError(f"{file}: not readable as tables of cross-sections ({error})") from error
-    if int(found.get("format", 0)) != _FORMAT:
+    found = load_arrays(file)
+    if "format" not in found or found["format"].shape != () or found["format"] != _FORMAT:
         raise ValueError(f"{file}: got arrays {sorted(found)[:5]}, expected tables of cross-sections, format {_FORMAT}")
     try:
-        names = [str(name) for name in found["names"]]
-        nodes = build_nodes(found["lower"], found["upper"], found["g"], found["weight"], found["response"], names)
-        fields = ("temperature", "pressure", "mole_fraction", "cross_section")
-        tables = tuple(
-            CrossSections(str(species), nodes, *(found[f"{species}.{field}"] for field in fields))
-            for species in found["species"]
-        )
+        names = _words(found, "names")
+        count = found["lower"].size
+        lower = _numbers(found, "lower", (count,), above=0.0)
+        upper = _numbers(found, "upper", (count,), above=lower)
+        g = _numbers(found, "g", (count, 2), least=0.0, most=1.0)
+        weight = _numbers(found, "weight", (count,), least=0.0, most=1.0)
+        response = _numbers(found, "response", (len(names), count), least=0.0)
+        nodes = build_nodes(lower, upper, g, weight, response, names)
+        tables = tuple(_cross_sections(found, species, nodes) for species in _words(found, "species"))
         air = None
         if "air.transmittance" in found:
-            air = FixedPath(found["air.transmittance"], found["air.path_radiance"])
+            transmittance = _numbers(found, "air.transmittance", (count,), least=0.0, most=1.0)
+            radiance = _numbers(found, "air.path_radiance", (count,), least=0.0)
+            air = FixedPath(as_float(transmittance), as_float(radiance))
+        provenance = str(found["provenance"])
     except KeyError as error:
         raise ValueError(f"{file}: got no array {error}, expected one: the file is not complete") from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
-    return KTables(nodes, tables, air, str(found["provenance"]))
+    return KTables(nodes, tables, air, provenance)
+
+
+def _words(found: Mapping[str, np.ndarray], name: str) -> list[str]:
+    """Different names, at least one."""
+    value = found[name]
+    if value.ndim != 1 or value.dtype.kind != "U" or not 0 < len(set(value.tolist())) == value.size:
+        raise ValueError(f"{name}: got {value.dtype} of shape {value.shape}, expected different names")
+    return [str(word) for word in value]
+
+
+def _numbers(
+    found: Mapping[str, np.ndarray],
+    name: str,
+    shape: tuple[int, ...],
+    above: float | np.ndarray = -np.inf,
+    least: float = -np.inf,
+    most: float = np.inf,
+) -> np.ndarray:
+    """An array of finite numbers of a shape, above values and between others, in double precision."""
+    given = found[name]
+    if given.shape != shape or given.size == 0 or given.dtype.kind not in "iuf":
+        raise ValueError(f"{name}: got {given.dtype} of shape {given.shape}, expected numbers of shape {shape}")
+    value = given.astype(np.float64)
+    largest = min(most, float(np.finfo(float_dtype()).max))
+    good = (value > above) & (value >= least) & (value <= largest)
+    if not good.all():
+        place = tuple(int(i) for i in np.argwhere(~good)[0])
+        low = f">= {least:g}" if np.isfinite(least) else f"> {np.broadcast_to(above, shape)[place]:g}"
+        raise ValueError(f"{name}: got {value[place]} at {list(place)}, expected {low} and <= {largest:g}")
+    return value
+
+
+def _cross_sections(found: Mapping[str, np.ndarray], species: str, nodes: Nodes) -> CrossSections:
+    axes = []
+    for axis in ("temperature", "pressure", "mole_fraction"):
+        name = f"{species}.{axis}"
+        axes.append(_numbers(found, name, (found[name].size,), least=0.0))
+    shape = (*(levels.size for levels in axes), nodes.count)
+    value = _numbers(found, f"{species}.cross_section", shape, least=0.0)
+    return CrossSections(species, nodes, axes[0], axes[1], axes[2], value)
 
 
 def _sampled(species: str, spectrum: np.ndarray, grid: np.ndarray) -> np.ndarray:

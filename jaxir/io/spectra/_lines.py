@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxir.io._array_files import SINGLE, load_arrays
 from jaxir.io._files import written_whole
 from jaxir.io.spectra._hitran import LineFile, check_line_file
 from jaxir.io.spectra._k_tables import Spectra
@@ -125,7 +126,18 @@ class _Absorber:
             file.parent.mkdir(parents=True, exist_ok=True)
             with written_whole(file) as part, open(part, "wb") as stream:
                 np.save(stream, np.concatenate(pieces).astype(np.float32))
-        return np.load(file).astype(np.float64)
+        return self._kept(file)
+
+    def _kept(self, file: Path) -> np.ndarray:
+        """The spectrum in a file of the cache."""
+        value = load_arrays(file)[SINGLE]
+        count = sum(_grid(interval, self.step).size for interval in self.intervals)
+        if value.dtype != np.float32 or value.shape != (count,) or not (value >= 0).all():
+            raise ValueError(
+                f"{file}: got {value.dtype} of shape {value.shape} or values below 0, expected a spectrum of {count} "
+                "samples; delete the file to repeat it"
+            )
+        return value.astype(np.float64)
 
     def _factory(self, interval: tuple[float, float]) -> Any:
         """RADIS with the lines of an interval and its surroundings; None if there are none."""

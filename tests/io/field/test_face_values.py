@@ -65,7 +65,7 @@ def test_wrong_npz(tmp_path):
         (lambda: load_array(tmp_path / "cut.npy"), "cut.npy: not readable as NPZ or NPY"),
         (lambda: load_array(tmp_path / "noise.npz"), "noise.npz: not readable as NPZ or NPY"),
         (lambda: load_array(tmp_path / "none.npz"), "none.npz: no such file"),
-        (lambda: load_face_values(tmp_path / "latin.csv", 1), "latin.csv: not readable as CSV"),
+        (lambda: load_face_values(tmp_path / "latin.csv", 1), "latin.csv:1: got the byte 0xe9, expected UTF-8"),
         (
             lambda: load_face_values(tmp_path / "t.xls", 1),
             "t.xls: expected a file name that ends in .csv, .npz or .npy",

@@ -53,7 +53,7 @@ def test_zero_area_faces_are_named(tmp_path):
     [
         ("none.stl", None, "none.stl: no such file"),
         ("empty.obj", b"", "empty.obj: "),
-        ("noise.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "noise.ply: "),
+        ("noise.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "noise.ply:4: got .*, expected a header that ends"),
         ("noise.glb", bytes(range(40)), "noise.glb: not readable as a mesh"),
         ("cut.stl", bytes(80) + b"\x05\x00\x00\x00" + bytes(50), "cut.stl: got 134 bytes, expected 334 .* is cut"),
         ("text.stl", b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "text.stl: got no endsolid"),

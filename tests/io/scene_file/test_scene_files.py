@@ -349,7 +349,7 @@ def test_wrong_parts_are_named(change, message, tmp_path):
 def test_a_file_that_is_no_text_or_too_large(tmp_path, monkeypatch):
     path = tmp_path / "scene.toml"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ValueError, match="scene.toml: not readable as TOML"):
+    with pytest.raises(ValueError, match="scene.toml:1: got the byte 0xff, expected UTF-8"):
         load_scene(path)
     monkeypatch.setattr("jaxir.io.scene_file._entries.LARGEST_FILE", 2)
     with pytest.raises(ValueError, match="scene.toml: got 3 bytes, expected a scene file of at most 2"):
