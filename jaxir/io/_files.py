@@ -10,6 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
+from jaxir._arrays import float_dtype
+
 LARGEST_TEXT = 2**30  # bytes of a file that is read as text
 _CUT_AFTER = 3  # lines of one form that show how the last number of a file must look
 _FORM = re.compile(r"[+-]?\d*(?:\.(?P<decimals>\d*))?(?:[eEdD][+-]?(?P<exponent>\d*))?")
@@ -122,6 +126,11 @@ def to_number(text: str) -> float:
     if "_" in text:  # which Python takes for a separator of digits
         raise ValueError(f"could not convert string to float: {text!r}")
     return float(text)
+
+
+def largest_number() -> float:
+    """Beyond it numbers are infinite in the floating dtype in force."""
+    return float(np.finfo(float_dtype()).max)
 
 
 def _umask() -> int:

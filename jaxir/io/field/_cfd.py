@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxir.geometry import Grid
+from jaxir.io.field._datasets import finite_scalar, read_dataset, require_pyvista
 from jaxir.io.mesh import METRES
 
 POINTS_AT_ONCE = 2_000_000
@@ -102,7 +102,7 @@ def load_flow(
         raise ValueError(f"samples: got {samples}, expected an integer >= 1")
     source = _volume(pyvista, file, read_dataset(pyvista, file, time))
     for name in fields:
-        _check_field(file, source, name)
+        finite_scalar(file, source, name)
     metres = METRES[unit]
     bounds = np.asarray(source.bounds, float).reshape(3, 2).T * metres
     corners = bounds if box is None else np.asarray(box, float)
@@ -120,42 +120,6 @@ def load_flow(
         for name, beyond in fields.items()
     }
     return FlowField(grid, sampled, report, covered)
-
-
-def require_pyvista() -> ModuleType:
-    """pyvista, or the error that says how to install it."""
-    try:
-        import pyvista
-    except ImportError as error:
-        raise ImportError('reading computed fields needs pyvista: pip install "jaxir[cfd]"') from error
-    return pyvista
-
-
-def read_dataset(pyvista: ModuleType, file: Path, time: float | None) -> Any:
-    """The data set in a file at a time; the last without one.
-
-    Raises:
-        ValueError: no such file or time, or not readable; names the file.
-    """
-    if not file.is_file():
-        raise ValueError(f"{file}: no such file")
-    try:
-        with warnings.catch_warnings(), pyvista.vtk_verbosity("off"):
-            warnings.simplefilter("ignore")
-            reader = pyvista.get_reader(str(file))
-            times = list(getattr(reader, "time_values", None) or [])
-    except Exception as error:  # readers raise whatever their parsers do
-        raise ValueError(f"{file}: not readable as a computed field ({type(error).__name__}: {error})") from error
-    if time is not None and not any(math.isclose(time, known) for known in times):
-        raise ValueError(f"{file}: time {time} not found, the file holds {times or 'no times'}")
-    try:
-        with warnings.catch_warnings(), pyvista.vtk_verbosity("off"):
-            warnings.simplefilter("ignore")
-            if times:
-                reader.set_active_time_value(min(times, key=lambda t: abs(t - time)) if time is not None else times[-1])
-            return reader.read()
-    except Exception as error:
-        raise ValueError(f"{file}: not readable as a computed field ({type(error).__name__}: {error})") from error
 
 
 def _volume(pyvista: ModuleType, file: Path, data: Any) -> Any:
@@ -182,21 +146,6 @@ def _has_volume(pyvista: ModuleType, data: Any) -> bool:
 
 def _cell_volumes(data: Any) -> np.ndarray:
     return np.abs(np.asarray(data.compute_cell_sizes(length=False, area=False, volume=True).cell_data["Volume"]))
-
-
-def _check_field(file: Path, source: Any, name: str) -> None:
-    found = {"point": list(source.point_data.keys()), "cell": list(source.cell_data.keys())}
-    if name not in found["point"] and name not in found["cell"]:
-        raise ValueError(
-            f"{file}: field {name!r} not found, the file holds point data {found['point']} "
-            f"and cell data {found['cell']}"
-        )
-    value = np.asarray(source.cell_data[name] if name in found["cell"] else source.point_data[name])
-    if value.ndim != 1:
-        raise ValueError(f"{file}: field {name!r} has {value.shape[1]} components, expected a scalar")
-    bad = np.flatnonzero(~np.isfinite(value))
-    if bad.size:
-        raise ValueError(f"{file}: field {name!r} is {value[bad[0]]} at entry {bad[0]}, expected finite values")
 
 
 def _resample(

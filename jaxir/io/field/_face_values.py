@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxir._arrays import float_dtype
 from jaxir.io._array_files import array_names, load_arrays
-from jaxir.io._files import csv_rows, to_number
+from jaxir.io._files import csv_rows, largest_number, to_number
 
 
 def load_array(path: str | os.PathLike, array: str | None = None) -> np.ndarray:
@@ -35,7 +34,7 @@ def load_array(path: str | os.PathLike, array: str | None = None) -> np.ndarray:
     if not np.issubdtype(value.dtype, np.number) or np.issubdtype(value.dtype, np.complexfloating):
         raise ValueError(f"{file}: {name} holds {value.dtype}, expected numbers")
     value = value.astype(np.float64)
-    bad = np.argwhere(~(np.abs(value) <= _largest()))
+    bad = np.argwhere(~(np.abs(value) <= largest_number()))
     if bad.size:
         place = tuple(int(i) for i in bad[0])
         raise ValueError(f"{file}: {name} is {value[place]} at {list(place)}, expected finite numbers")
@@ -123,11 +122,6 @@ def _is_number(text: str) -> bool:
 
 
 def _number(file: Path, line: int, text: str) -> float:
-    if not _is_number(text) or not abs(to_number(text)) <= _largest():
+    if not _is_number(text) or not abs(to_number(text)) <= largest_number():
         raise ValueError(f"{file}:{line}: got {text.strip()[:60]!r}, expected a finite number")
     return to_number(text)
-
-
-def _largest() -> float:
-    """Beyond which numbers become infinite in the floating dtype in force."""
-    return float(np.finfo(float_dtype()).max)

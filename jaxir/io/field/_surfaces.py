@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxir.geometry.search import Mesh
-from jaxir.io.field._cfd import read_dataset, require_pyvista
+from jaxir.io.field._datasets import finite_scalar, read_dataset, require_pyvista
 from jaxir.io.mesh import METRES
 
 FARTHEST = 0.1  # of the mesh's size: a surface whose median distance is larger belongs to another body or unit
@@ -115,19 +115,8 @@ def _triangles(pyvista: ModuleType, file: Path, data: Any, field: str) -> Any:
         raise ValueError(f"{file}: holds no faces")
     if not isinstance(data, pyvista.PolyData):
         data = data.extract_surface(algorithm="dataset_surface")
-    found = {"point": list(data.point_data.keys()), "cell": list(data.cell_data.keys())}
-    if field not in found["point"] and field not in found["cell"]:
-        raise ValueError(
-            f"{file}: field {field!r} not found, the file holds point data {found['point']} "
-            f"and cell data {found['cell']}"
-        )
-    where = "cell_data" if field in found["cell"] else "point_data"
-    value = np.asarray(getattr(data, where)[field])
-    if value.ndim != 1:
-        raise ValueError(f"{file}: field {field!r} has {value.shape[1]} components, expected a scalar")
-    bad = np.flatnonzero(~np.isfinite(value))
-    if bad.size:
-        raise ValueError(f"{file}: field {field!r} is {value[bad[0]]} at entry {bad[0]}, expected finite values")
+    value = finite_scalar(file, data, field)
+    where = "cell_data" if field in data.cell_data else "point_data"
     thin = data.copy(deep=True)
     thin.clear_data()
     getattr(thin, where)[field] = value.astype(np.float64)

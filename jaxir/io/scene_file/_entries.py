@@ -18,7 +18,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxir._arrays import enforce, float_dtype
-from jaxir.io._files import read_text, require_file
+from jaxir.io._files import largest_number, read_text, require_file
 from jaxir.io.field import load_array
 
 LARGEST_FILE = 64 * 2**20  # bytes of a scene file
@@ -146,7 +146,7 @@ def number(entry: Entry) -> float:
     """A finite number."""
     if isinstance(entry.value, bool) or not isinstance(entry.value, _LEAF):
         raise entry.wrong("a finite number")
-    if not abs(entry.value) <= np.finfo(float_dtype()).max:
+    if not abs(entry.value) <= largest_number():
         raise entry.wrong(f"a finite number in {float_dtype()}")
     return float(entry.value)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxir._arrays import as_float, float_dtype
-from jaxir.io._files import csv_rows, read_text, to_number
+from jaxir.io._files import csv_rows, largest_number, read_text, to_number
 from jaxir.scene.air import TableAtmosphere
 
 _W_PER_CM2 = 1e4  # W cm-2 in W m-2
@@ -138,7 +138,7 @@ class _Table:
 
     def add(self, line: int, wavenumber: float, transmittance: float, radiance: float) -> None:
         for name, value in (("wavenumber", wavenumber), ("path radiance", radiance)):
-            if not abs(value) <= np.finfo(float_dtype()).max:
+            if not abs(value) <= largest_number():
                 raise ValueError(f"{self.file}:{line}: got {name} {value}, expected a finite number in {float_dtype()}")
         if not -1e-9 <= transmittance <= 1 + 1e-9:
             raise ValueError(f"{self.file}:{line}: got transmittance {transmittance}, expected one in [0, 1]")

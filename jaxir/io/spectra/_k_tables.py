@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from jaxir._arrays import as_float, float_dtype
+from jaxir._arrays import as_float
 from jaxir.io._array_files import load_arrays
-from jaxir.io._files import written_whole
+from jaxir.io._files import largest_number, written_whole
 from jaxir.optics.air import altitude_along
 from jaxir.optics.gas import BOLTZMANN, CrossSections, at_quantiles, slot_means
 from jaxir.optics.spectrum import Nodes, band_radiance, bin_edges, build_nodes, quantile_index
@@ -258,7 +258,7 @@ def _numbers(
     if given.shape != shape or given.size == 0 or given.dtype.kind not in "iuf":
         raise ValueError(f"{name}: got {given.dtype} of shape {given.shape}, expected numbers of shape {shape}")
     value = given.astype(np.float64)
-    largest = min(most, float(np.finfo(float_dtype()).max))
+    largest = min(most, largest_number())
     good = (value > above) & (value >= least) & (value <= largest)
     if not good.all():
         place = tuple(int(i) for i in np.argwhere(~good)[0])
