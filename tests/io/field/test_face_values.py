@@ -40,6 +40,11 @@ def test_npz_and_npy(tmp_path):
         ("temperature_C\n20\n", "t.csv:1: got columns temperature_C, expected temperature"),
         ("face,temperature\n0,300\n1\n", "t.csv:3: got 1 columns, expected 2"),
         ("face,temperature\n0,300\n1,310\n1,320\n", "t.csv: face 1 has 2 values|face 2 has 0 values"),
+        ("300.25\n310.25\n320.25\n33", "t.csv:4: got '33' without a line end, .*: the file is cut"),
+        ("1e999\n1\n1\n", "t.csv:1: got '1e999', expected a finite number"),
+        ("1e300\n1\n1\n", "t.csv:1: got '1e300', expected a finite number"),
+        ("3_0\n1\n1\n", "t.csv:1: got columns 3_0, expected temperature"),
+        ('temperature\n"300\n310\n320\n', "t.csv:4: not readable as CSV"),
         ("face,temperature\n0,300\n1,310\n3,320\n", "t.csv: face 3 at .2., expected integers 0 to 2"),
     ],
 )
@@ -73,3 +78,36 @@ def test_wrong_npz(tmp_path):
     ):
         with pytest.raises(ValueError, match=message):
             call()
+
+
+def test_whole_numbers_need_no_last_line_end(tmp_path):
+    for text in ("100\n200\n50", "0.5\n0.25\n1", "10.5\n20.5\n30.5"):
+        (tmp_path / "t.csv").write_text(text)
+        assert load_face_values(tmp_path / "t.csv", 3).size == 3
+
+
+def test_arrays_are_bounded_before_they_take_memory(tmp_path, monkeypatch):
+    np.savez_compressed(tmp_path / "a.npz", small=np.ones(9), large=np.zeros(10_000, np.int8))
+    np.save(tmp_path / "a.npy", np.zeros(10_000))
+    monkeypatch.setattr("jaxir.io._array_files.LARGEST_ARRAYS", 50_000)
+    assert load_array(tmp_path / "a.npz", "small").size == 9
+    for call in (lambda: load_array(tmp_path / "a.npz", "large"), lambda: load_array(tmp_path / "a.npy")):
+        with pytest.raises(ValueError, match="a.np.: not readable .* .got arrays of 80000 bytes in memory"):
+            call()
+    whole = (tmp_path / "a.npy").read_bytes()
+    (tmp_path / "a.npy").write_bytes(whole.replace(b"(10000,)", b"(99999,)"))
+    with pytest.raises(ValueError, match="a.npy: .*got 80128 bytes, expected 800120 as its header says"):
+        load_array(tmp_path / "a.npy")
+
+
+def test_damaged_headers(tmp_path):
+    path = tmp_path / "a.npy"
+    np.save(path, np.zeros(10))
+    whole = path.read_bytes()
+    for old, new in ((b"{'descr'", b"{'des\ncr"), (b"<f8", b"|O8"), (b"(10,)", b"(-9,)"), (b"\x93NUMPY", b"\x93NUMBY")):
+        path.write_bytes(whole.replace(old, new))
+        with pytest.raises(ValueError, match="a.npy: not readable as NPZ or NPY"):
+            load_array(path)
+    np.savez(tmp_path / "a.npz", a=np.array([{"any": "object"}], object), b=np.ones(2))
+    with pytest.raises(ValueError, match="a.npz: not readable as NPZ or NPY .a: got object"):
+        load_array(tmp_path / "a.npz", "b")

@@ -7,6 +7,25 @@ import trimesh
 from jaxir.io.mesh import load_mesh
 from tests.scenes import box_mesh
 
+HEAD = b"""ply
+format %s 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+"""
+PLY = HEAD % b"ascii" + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+BINARY_PLY = (
+    HEAD % b"binary_big_endian"
+    + np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], ">f4").tobytes()
+    + b"\x03"
+    + np.array([0, 1, 2], ">i4").tobytes()
+)
+OFF = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+
 
 def _trimesh(mesh):
     return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
@@ -61,6 +80,26 @@ def test_zero_area_faces_are_named(tmp_path):
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "nan.obj: vertex 0 is .* expected finite"),
         ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "flat.obj: all 1 faces have zero area"),
         ("what.xyz2", b"v", "what.xyz2: not readable"),
+        ("beyond.ply", PLY.replace(b"3 0 1 2", b"3 0 1 3"), "beyond.ply: face 0: got vertex 3, expected one of 0 to 2"),
+        ("below.ply", PLY.replace(b"3 0 1 2", b"3 0 1 -1"), "below.ply: face 0: got vertex -1, expected one of 0 to 2"),
+        ("cut.ply", PLY[:-8], "cut.ply: got 3 lines, expected 3 of vertex and 1 of face as its header says"),
+        ("half.ply", PLY[:-3], "half.ply: face 0: got '3 0 1', expected more numbers"),
+        ("two.ply", PLY.replace(b"0 1 2", b"0 1 2 2"), "two.ply: face 0: got '3 0 1 2 2', expected fewer numbers"),
+        ("binary.ply", BINARY_PLY[:-5], "binary.ply: face 0: got the end of the file, expected 1 rows"),
+        ("more.ply", BINARY_PLY + b"abc", "more.ply: got 3 bytes after the last element, expected none"),
+        ("beyond.off", OFF.replace(b"3 0 1 2", b"3 0 1 7"), "beyond.off: face 0: got vertex 7, expected one of 0 to 2"),
+        ("cut.off", OFF[:-8], "cut.off: got 3 lines, expected 3 vertices and 1 faces"),
+        ("less.stl", bytes(80) + b"\x01\x00\x00\x00" + bytes(100), "less.stl: got 184 bytes, expected 134"),
+        ("gap.stl", b"solid a\nfacet normal 0 0 1\nouter loop\nendloop\n", "gap.stl:4: got 'endloop', expected vertex"),
+        (
+            "beyond.obj",
+            b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n",
+            "beyond.obj:4: got 'f 1 2 4', expected vertices 1 to",
+        ),
+        ("word.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nn 1 2 3\n", "word.obj:4: got 'n 1 2 3', expected a word of the OBJ"),
+        ("half.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/2 3\n", "half.obj:4: .* expected corners of one form"),
+        ("far.obj", b"v 1e9 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "far.obj: vertex 0 is .* expected .* below 1e.09 m"),
+        ("huge.obj", b"v 1e300 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "huge.obj: vertex 0 is .* expected .* below 1e.09 m"),
     ],
 )
 def test_damaged_meshes_are_named(name, content, message, tmp_path):
@@ -68,6 +107,45 @@ def test_damaged_meshes_are_named(name, content, message, tmp_path):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ValueError, match=message):
+        load_mesh(path, unit="m")
+
+
+@pytest.mark.parametrize(("name", "content"), [("a.ply", PLY), ("b.ply", BINARY_PLY), ("c.off", OFF)])
+def test_a_triangle_in_every_layout(name, content, tmp_path):
+    (tmp_path / name).write_bytes(content)
+    body = load_mesh(tmp_path / name, unit="m")
+    np.testing.assert_array_equal(body.mesh.corners(), [[[0, 0, 0], [1, 0, 0], [0, 1, 0]]])
+    assert body.part_names == (name,)
+
+
+@pytest.mark.parametrize("layout", ["ascii", "binary_little_endian"])
+def test_polygons_become_fans_in_the_order_of_the_file(layout, tmp_path):
+    polygons = [[0, 1, 2, 3], [0, 1, 4], [0, 1, 2, 3, 4]]
+    points = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0], [0, 0, 1]], "<f4")
+    if layout == "ascii":
+        rows = [*points.tolist(), *([len(corners), *corners] for corners in polygons)]
+        body = "\n".join(" ".join(str(number) for number in row) for row in rows).encode() + b"\n"
+    else:
+        lists = (bytes([len(corners)]) + np.array(corners, "<i4").tobytes() for corners in polygons)
+        body = points.tobytes() + b"".join(lists)
+    head = HEAD.replace(b"vertex 3", b"vertex 5").replace(b"face 1", b"face 3") % layout.encode()
+    (tmp_path / "polygons.ply").write_bytes(head + body)
+    mesh = load_mesh(tmp_path / "polygons.ply", unit="m").mesh
+    want = [[0, 1, 2], [0, 2, 3], [0, 1, 4], [0, 1, 2], [0, 2, 3], [0, 3, 4]]
+    np.testing.assert_array_equal(mesh.faces, want)
+
+
+def test_damaged_glb(tmp_path):
+    path = tmp_path / "box.glb"
+    _trimesh(box_mesh()).export(path)
+    whole = path.read_bytes()
+    indices = np.asarray(box_mesh().faces, "<u4").tobytes()
+    assert whole.count(indices) == 1
+    path.write_bytes(whole.replace(indices, indices[:-4] + b"\x63\x00\x00\x00"))
+    with pytest.raises(ValueError, match="box.glb: face 11: got vertex 99, expected one of 0 to 7"):
+        load_mesh(path, unit="m")
+    path.write_bytes(whole[:-12])
+    with pytest.raises(ValueError, match=rf"box.glb: got {len(whole) - 12} bytes, expected {len(whole)}"):
         load_mesh(path, unit="m")
 
 

@@ -308,6 +308,16 @@ HUGE = "shape = [100000, 100000]"
         (_but("samples = 2", "sample = 2"), r"render.sample: unknown key, expected .*\(did you mean samples\?\)"),
         (_but("step = 90", "step = 0"), "signature.views.azimuth: got .* expected start <= stop and step > 0"),
         (_but('"LWIR"]', '"LWIR", { name = "x", lower = 4.0, upper = 3.0 }]'), r"bands\[2\]: Band 'x': got edges 4.0"),
+        (_but('"LWIR"]', '{ name = "x", lower = [4.0], upper = 5.0 }]'), r"bands\[1\].lower: got \[4.0\], expected a"),
+        (
+            _but("temperature = 250", "temperature = 1e300"),
+            "background.temperature: got 1e.300, expected a finite",
+        ),
+        (
+            _but("temperature = 250", f"temperature = 1{'0' * 400}"),
+            "background.temperature: got 10+.*, expected a",
+        ),
+        (_but("temperature = 250", f"temperature = 1{'0' * 5000}"), "scene.toml: not readable as TOML"),
         (_but('"LWIR"]', '"lwir"]'), r"bands\[1\]: got 'lwir', expected one of SWIR, MWIR, LWIR \(did"),
         (_but("temperature = 250", "temperature = 0"), "background: BlackbodyBackground.temperature: got 0.0"),
         (TEXT + JET.replace("12", "-12"), "plumes.gas: carbon, hydrogen: got -12"),

@@ -115,6 +115,13 @@ def test_csv_by_wavenumber_and_by_wavelength(tmp_path):
         ("wavenumber_cm-1,transmittance\n2000,0.5\n2000,0.5\n", ":3: .* twice"),
         ("wavenumber_cm-1,transmittance,path_radiance\n2000,0.5,-1\n", ":2: got path radiance"),
         ("wavenumber_cm-1,transmittance\n2000,0.5\n", "1 samples"),
+        ("wavenumber_cm-1,transmittance\n2000,0,5\n", "bad.csv:2: got 3 columns, expected 2"),
+        ("wavenumber_cm-1,transmittance,path_radiance\n2000,0.5,1e308\n", "bad.csv:2: got path radiance 1e.308"),
+        ("wavelength_um,transmittance\n1e-320,0.5\n", "bad.csv:2: got wavenumber inf"),
+        ("wavenumber_cm-1,transmittance\n2000,0.5\n2000.00001,0.5\n", "bad.csv:3: .* twice .in float32"),
+        ("wavenumber_cm-1,transmittance\n2000,0.5\n2010," + "5" * 140_000, "bad.csv:3: not readable as CSV"),
+        ("wavenumber_cm-1,transmittance\n1,0.5\n2,0.6\n3,0.7\n4,0.8\n5,0.", "bad.csv:6: got '0.' without a line end"),
+        ("wavenumber_cm-1,transmittance\n1,1.3e-04\n2,1.4e-04\n3,1.3e-04\n4,1.3", ":5: got '1.3' .* file is cut"),
     ],
 )
 def test_broken_csv_names_the_line(text, what, tmp_path):
@@ -122,3 +129,12 @@ def test_broken_csv_names_the_line(text, what, tmp_path):
     file.write_text(text)
     with pytest.raises(ValueError, match=what):
         load_atmosphere_csv(file)
+
+
+def test_csv_of_other_bytes_names_the_line(tmp_path):
+    (tmp_path / "bad.csv").write_bytes(b"wavenumber_cm-1,transmittance\n2000,0.5\n2010,\xe9\n")
+    with pytest.raises(ValueError, match="bad.csv:3: got the byte 0xe9, expected UTF-8"):
+        load_atmosphere_csv(tmp_path / "bad.csv")
+    for read in (load_atmosphere_csv, load_tape7):
+        with pytest.raises(ValueError, match="none.csv: no such file"):
+            read(tmp_path / "none.csv")

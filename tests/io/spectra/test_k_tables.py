@@ -92,6 +92,33 @@ def test_wrong_files_are_refused(content, tmp_path):
         load_k_tables(file)
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("lower", lambda v: v * np.nan, r"lower: got nan at \[0\], expected > 0"),
+        ("upper", lambda v: v[::-1] - 1000, r"upper: got 1.* at \[0\], expected > 2300"),
+        ("g", lambda v: v + 1, r"g: got .* at \[0, 0\], expected >= 0 and <= 1"),
+        ("weight", lambda v: v[:-1], r"weight: got float32 of shape \(6,\), expected numbers of shape \(7,\)"),
+        ("response", lambda v: -1 - v, r"response: got .* expected >= 0"),
+        ("names", lambda v: np.array(["a", "a"]), "names: got <U1 .* expected different names"),
+        ("air.transmittance", lambda v: v * 0 + 2, r"air.transmittance: got 2.0 at \[0\], expected >= 0 and <= 1"),
+        ("air.path_radiance", lambda v: v * np.nan, "air.path_radiance: got nan"),
+        ("CO2.cross_section", lambda v: v * np.nan, "CO2.cross_section: got nan"),
+        ("CO2.temperature", lambda v: v * np.nan, "CO2.temperature: got nan"),
+        ("species", lambda v: v.astype("S"), "species: got .S3 of shape .2,., expected different names"),
+        ("format", lambda v: np.array([1, 1]), "got arrays .* expected tables of cross-sections, format 1"),
+    ],
+)
+def test_values_out_of_range_are_refused(content, name, change, message, tmp_path):
+    file = tmp_path / "gas.npz"
+    save_k_tables(file, content)
+    with np.load(file) as found:
+        arrays = dict(found)
+    np.savez(file, **{**arrays, name: change(arrays[name])})
+    with pytest.raises(ValueError, match=rf"gas.npz: {message}"):
+        load_k_tables(file)
+
+
 def test_wrong_arguments_are_refused():
     hottest = GasState(1500.0, 1e5, {"CO2": 0.06})
     with pytest.raises(ValueError, match=r"amounts: got none for \['CO2'\]"):
