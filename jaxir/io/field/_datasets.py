@@ -86,7 +86,9 @@ def _require_version(file: Path) -> None:
         version = re.fullmatch(rb"# vtk DataFile Version (\d)\.\d", head)
         offsets = any(line.startswith(b"OFFSETS ") for line in stream)
     if version is None or (offsets and version[1] < b"5"):
-        raise ValueError(f"{file}:1: got {head[:60]!r}, expected the version of VTK's format in which the file is written")
+        raise ValueError(
+            f"{file}:1: got {head[:60]!r}, expected the version of VTK's format in which the file is written"
+        )
 
 
 @contextmanager

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import warnings
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -156,6 +157,21 @@ def _require_whole_glb(file: Path) -> None:
             if len(chunk) < 8 or place > size:
                 raise ValueError(f"{file}: got {size} bytes, expected at least {place} as its chunks say: it is cut")
             stream.seek(place)
+        stream.seek(12)
+        length = int.from_bytes(stream.read(8)[:4], "little")
+        told = stream.read(length)
+    for accessor in _accessors(told):
+        if "bufferView" not in accessor and not 0 <= accessor["count"] <= size:
+            raise ValueError(f"{file}: got {accessor['count']} numbers without bytes, expected at most {size}")
+
+
+def _accessors(told: bytes) -> list[dict[str, Any]]:
+    """What the JSON chunk of a GLB file says of its arrays; nothing where it says nothing that trimesh could read."""
+    try:
+        held = json.loads(told).get("accessors", [])
+        return [{**accessor, "count": int(accessor["count"])} for accessor in held]
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
+        return []
 
 
 def zero_area_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -132,10 +132,10 @@ class _Absorber:
         """The spectrum in a file of the cache."""
         value = load_arrays(file)[SINGLE]
         count = sum(_grid(interval, self.step).size for interval in self.intervals)
-        if value.dtype != np.float32 or value.shape != (count,) or not (value >= 0).all():
+        if value.dtype != np.float32 or value.shape != (count,) or not np.isfinite(value).all():
             raise ValueError(
-                f"{file}: got {value.dtype} of shape {value.shape} or values below 0, expected a spectrum of {count} "
-                "samples; delete the file to repeat it"
+                f"{file}: got {value.dtype} of shape {value.shape}, expected a spectrum of {count} finite samples; "
+                "delete the file to repeat it"
             )
         return value.astype(np.float64)
 

@@ -144,6 +144,9 @@ def test_damaged_glb(tmp_path):
     path.write_bytes(whole.replace(indices, indices[:-4] + b"\x63\x00\x00\x00"))
     with pytest.raises(ValueError, match="box.glb: face 11: got vertex 99, expected one of 0 to 7"):
         load_mesh(path, unit="m")
+    path.write_bytes(whole.replace(b'"bufferView":0,"count":36', b'"count":36' + b"0" * 15))
+    with pytest.raises(ValueError, match="box.glb: got 360+ numbers without bytes, expected at most"):
+        load_mesh(path, unit="m")
     path.write_bytes(whole[:-12])
     with pytest.raises(ValueError, match=rf"box.glb: got {len(whole) - 12} bytes, expected {len(whole)}"):
         load_mesh(path, unit="m")

@@ -115,6 +115,20 @@ def test_spectra_are_kept_and_the_list_s_folder_is_left_alone(spectra, listed, m
     assert [file.name for file in listed.parent.iterdir()] == ["02_co2.par"]
 
 
+def test_a_damaged_file_of_the_cache_is_named(listed, tmp_path, monkeypatch):
+    absorber = line_spectra(listed, NODES, cache=tmp_path, progress=False).absorbers["CO2"]
+    monkeypatch.setattr(lines_module._Absorber, "_factory", lambda *_: None)
+    assert (absorber(296.0, PRESSURE, 0.06) == 0).all()
+    (kept,) = tmp_path.glob("*.npy")
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[:-4])
+    with pytest.raises(ValueError, match=rf"{kept.name}: not readable .* .array: got {len(whole) - 4} bytes"):
+        absorber(296.0, PRESSURE, 0.06)
+    np.save(kept, np.zeros(3, np.float32))
+    with pytest.raises(ValueError, match=rf"{kept.name}: got float32 of shape .3,., expected a spectrum of \d+ finite"):
+        absorber(296.0, PRESSURE, 0.06)
+
+
 def test_two_intervals_and_one_without_lines(listed, tmp_path):
     bands = [jaxir.Band("near", 1e4 / 3100, 1e4 / 3050), jaxir.Band("4.3", 1e4 / 2350, 1e4 / 2325)]
     nodes = resolved_nodes(bands, width=25.0, points=2)
