@@ -116,6 +116,9 @@ def _require_consistent(pyvista: ModuleType, file: Path, data: Any) -> None:
     if isinstance(data, pyvista.UnstructuredGrid) and data.n_cells:
         corners = _require_corners(pyvista, file, data.GetCells(), data.n_points)
         kinds = np.asarray(data.celltypes)
+        unknown = sorted(set(kinds.tolist()) - {int(kind) for kind in pyvista.CellType})
+        if unknown:
+            raise ValueError(f"{file}: got cells of type {unknown[0]}, expected types that VTK knows")
         wanted = np.array([_CORNERS.get(kind, -1) for kind in range(256)])[kinds]
         wrong = np.flatnonzero((wanted >= 0) & (wanted != corners)) if kinds.size == corners.size else np.array([0])
         if wrong.size:
