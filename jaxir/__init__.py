@@ -114,4 +114,7 @@ from jaxir.transport import CombinedIntegration as CombinedIntegration
 from jaxir.transport import LineIntegration as LineIntegration
 from jaxir.transport import PointIntegration as PointIntegration
 from jaxir.transport import estimate as estimate
+
+# What is legal and hardly meant is warned of
+from jaxir._arrays import PlausibilityWarning as PlausibilityWarning
 # isort: on

@@ -4,11 +4,13 @@ Three rules live here. Every physical field becomes a floating array in its cons
 recompiles and every field has a gradient. What is known is checked and set up by numpy on the host: as operations of
 JAX each of those steps would be a program of its own to compile. Every range check is one `Check`; all checks of one
 entry are enforced together: at once with the field, the value and the place where the values are known, as one
-`eqx.error_if` inside a user's own jit, where they are not.
+`eqx.error_if` inside a user's own jit, where they are not. A doubt is a check that warns, of known values alone.
 """
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterable
 from typing import Any, NamedTuple, TypeVar
 
@@ -19,6 +21,14 @@ import numpy as np
 from jaxtyping import Array, Key
 
 T = TypeVar("T")
+_BETWEEN = ("jaxir", "jax", "equinox", "jaxtyping", "beartype")  # packages between a user's line and a check
+
+
+class PlausibilityWarning(UserWarning):
+    """A value is legal and hardly meant, as 27 K for a skin of 27 degrees Celsius, or beyond what a model was made for.
+
+    The message names field, value, what is usual and, where one fits, the unit in which the value was probably given.
+    """
 
 
 def float_dtype() -> np.dtype:
@@ -110,12 +120,16 @@ def require_shape(field: str, array: Array, expected: tuple[int | str, ...]) -> 
 
 
 class Check(NamedTuple):
-    """One range check: `ok` holds elementwise for `value` of `field`, else `expected` says what was wanted."""
+    """One range check: `ok` holds elementwise for `value` of `field`, else `expected` says what was wanted.
+
+    A value in `doubt` is warned of instead of refused; see `jaxir._plausible`.
+    """
 
     field: str
     value: Array | np.ndarray
     ok: Array | np.ndarray
     expected: str
+    doubt: bool = False
 
 
 def _values(value: Any) -> tuple[Any, Any]:
@@ -176,16 +190,33 @@ def _describe(check: Check, ok: np.ndarray) -> str:
     assert value is not None
     got = value[place]
     where = f" at index {list(place)}" if place else ""
-    more = f" ({len(bad)} values are wrong)" if len(bad) > 1 else ""
+    more = f" ({len(bad)} such values)" if len(bad) > 1 else ""
     return f"{check.field}: got {got}{where}, expected {check.expected}{more}"
 
 
 def require(checks: Iterable[Check]) -> None:
-    """Raise `ValueError` for the first check that fails on known values; what jit does not know passes."""
+    """Raise `ValueError` for the first check that fails on known values; what jit does not know passes.
+
+    If none fails, `PlausibilityWarning` says the first doubt of each field.
+    """
+    doubts: dict[str, str] = {}
     for check in checks:
         ok = known(check.ok)
-        if ok is not None and not ok.all():
+        if ok is None or ok.all():
+            continue
+        if not check.doubt:
             raise ValueError(_describe(check, ok))
+        doubts.setdefault(check.field, _describe(check, ok))
+    for doubt in doubts.values():
+        warnings.warn(doubt, PlausibilityWarning, stacklevel=_depth_of_caller())
+
+
+def _depth_of_caller() -> int:
+    """How many frames above the caller of this function the first line outside the package is, as `stacklevel`."""
+    frame, depth = sys._getframe(1), 1
+    while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in _BETWEEN:
+        frame, depth = frame.f_back, depth + 1
+    return depth
 
 
 def enforce(passed: T, checks: Iterable[Check]) -> T:
@@ -201,6 +232,8 @@ def enforce(passed: T, checks: Iterable[Check]) -> T:
     Raises:
         ValueError: a check on known values fails; names the field, the value, the index, what was expected.
         RuntimeError: a check on traced values fails, at run time, naming the field and what was expected.
+
+    Doubts of known values are warned of, see `require`.
     """
     every = list(checks)
     require(every)

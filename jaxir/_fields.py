@@ -93,6 +93,14 @@ def require_count(field: str, value: Any, least: int = 1) -> int:
     return value
 
 
+def require_part(field: str, value: Any, expected: str) -> None:
+    """`ValueError` unless `value` is an object that holds fields; a number takes the place of {} in `expected`."""
+    if not isinstance(value, eqx.Module):
+        number = isinstance(value, (int, float))
+        got = f"{value!r}" if number or isinstance(value, str) else f"a {type(value).__name__}"
+        raise ValueError(f"{field}: got {got}, expected {expected.format(value if number else '...')}")
+
+
 class Physical(eqx.Module):
     """An object whose fields are declared by `quantity`, `spectral` and `count`."""
 
@@ -116,7 +124,7 @@ class Physical(eqx.Module):
         """Raise `ValueError` where shapes do not suit, beyond what is declared of each field."""
 
     def checks(self) -> list[Check]:
-        """What must hold of the values: the range of every field, of every part, and `relations`."""
+        """What must hold of the values: the range of every field, of every part, `relations` and `doubts`."""
         ranges = [
             within(f"{type(self).__name__}.{name}", getattr(self, name))
             for name, declared in _declared(self)
@@ -125,12 +133,17 @@ class Physical(eqx.Module):
         ]
         return [
             *ranges,
+            *self.doubts(),
             *(check for part in self._parts() for check in part.checks()),
             *(_compiled_relations(self) if type(self).relations is not Physical.relations else []),
         ]
 
     def relations(self) -> list[Check]:
         """What must hold between the fields, beyond the range of each."""
+        return []
+
+    def doubts(self) -> list[Check]:
+        """What is unlikely of several fields together, see `jaxir._plausible`; of known values, outside jit."""
         return []
 
     def node_checks(self, nodes: Any) -> list[Check]:

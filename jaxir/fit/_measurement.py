@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, broadcast, enforce, positive, reshaped
-from jaxir.geometry import Camera
+from jaxir.geometry import Camera, view_checks
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Scene, on_nodes
 from jaxir.transport import Method, graded_cameras
@@ -83,7 +83,7 @@ def measured_intensity(
     aspect = as_float(views, "views")
     if aspect.ndim != 2 or aspect.shape[1] != 2:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
-    nodes = enforce(nodes, scene.checks_on(nodes))
+    nodes = enforce(nodes, [*scene.checks_on(nodes), *view_checks(aspect)])
     cameras = _cameras(scene, nodes, aspect, shape, as_float(distance, "distance"))
     wanted = (aspect.shape[0], len(nodes.names))
     return _measurement(value, standard_deviation, wanted, cameras, nodes, method, samples, False)

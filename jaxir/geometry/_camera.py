@@ -14,10 +14,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from jaxir._arrays import Check, as_float, broadcast, enforce, finite, on_host, placed, positive, require_shape
+from jaxir._arrays import (
+    Check,
+    as_float,
+    broadcast,
+    enforce,
+    finite,
+    on_host,
+    placed,
+    positive,
+    require,
+    require_shape,
+)
+from jaxir._plausible import ELEVATION, usual
 from jaxir.geometry._ray import Bundle
 
 TILE = 16
+_RADIAN = usual(1e-8, 0.2, "rad", above="is it in degrees, mrad or urad?")
 
 
 class Grading(NamedTuple):
@@ -130,6 +143,11 @@ class Camera(eqx.Module):
         ]
 
 
+def view_checks(views: Float[Array, "view 2"]) -> list[Check]:
+    """Azimuths and elevations [view, 2] [deg] are finite; elevations go up to 90."""
+    return [finite("views", views), ELEVATION("views: elevation", views, lambda aspect: aspect[..., 1])]
+
+
 def _between(edges: Float[Array, " edge"], pixel: Int[Array, "*batch"], offset: Float[Array, "*batch"]) -> Array:
     """Place inside pixels between edges [*batch]."""
     first = jnp.minimum(pixel, edges.shape[0] - 2)
@@ -150,6 +168,7 @@ def view_frame(azimuth: Any, elevation: Any) -> Float[Array, "3 3"]:
     angles = as_float(azimuth, "azimuth"), as_float(elevation, "elevation")
     require_shape("azimuth", angles[0], ())
     require_shape("elevation", angles[1], ())
+    require([ELEVATION("elevation", angles[1])])
     xp, az, el = on_host(*angles)
     az, el = xp.deg2rad(az), xp.deg2rad(el)
     ca, sa, ce, se = xp.cos(az), xp.sin(az), xp.cos(el), xp.sin(el)
@@ -194,6 +213,7 @@ def perspective_camera(
     for field, value in (("distance", range_), ("angular_resolution", step)):
         require_shape(field, value, ())
         _require_positive(field, value)
+    require([_RADIAN("angular_resolution", step)])
     point = as_float(target, "target")
     require_shape("target", point, (3,))
     xp, away, angle = on_host(range_, step)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, finite, positive, require_shape
+from jaxir._plausible import EXTENT
 
 
 class Grid(eqx.Module):
@@ -57,5 +58,9 @@ class Grid(eqx.Module):
         return self.spacing * as_float(np.array(self.shape))
 
     def checks(self) -> list[Check]:
-        """The corner is finite, cells have positive size."""
-        return [finite("Grid.origin", self.origin), positive("Grid.spacing", self.spacing)]
+        """The corner is finite, cells have positive size; the box is as large as a plume is."""
+        return [
+            finite("Grid.origin", self.origin),
+            positive("Grid.spacing", self.spacing),
+            EXTENT("Grid: longest side", self.spacing, lambda cell: (cell * np.array(self.shape)).max(axis=-1)),
+        ]

@@ -13,8 +13,8 @@ from jax import lax
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, Key
 
-from jaxir._arrays import as_float, enforce, finite, key_or_default
-from jaxir.geometry import Camera, pixel_strata
+from jaxir._arrays import as_float, enforce, key_or_default
+from jaxir.geometry import Camera, pixel_strata, view_checks
 from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_eye, whole_image
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
@@ -140,8 +140,7 @@ def prepare_views(
     nodes = as_nodes(bands)
     key = key_or_default(key)
     away = as_float(distance, "distance")
-    checks = [*scene.checks_on(nodes), finite("views", aspect)]
-    nodes = enforce(nodes, [*checks, *method.checks_for(scene)])
+    nodes = enforce(nodes, [*scene.checks_on(nodes), *view_checks(aspect), *method.checks_for(scene)])
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach)])
     return Views(lit, cameras, key, pixel_strata(samples), method.resolved(scene), aspect)

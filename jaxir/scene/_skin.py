@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import Check, as_float, broadcast, positive
+from jaxir._fields import require_part
+from jaxir._plausible import KELVIN
 from jaxir.geometry.search import Mesh
 from jaxir.optics.surface import AbstractBrdf
 
@@ -52,8 +54,11 @@ class Skin(eqx.Module):
             part_names: names of the parts.
 
         Raises:
-            ValueError: per-face arrays of another length than the mesh, or part indices without a name.
+            ValueError: a part of another kind, per-face arrays of another length than the mesh, or part indices
+                without a name.
         """
+        require_part("Skin.mesh", mesh, "a mesh, e.g. jaxir.Mesh(vertices, faces) or load_mesh(path, unit='m').mesh")
+        require_part("Skin.brdf", brdf, "a brdf, e.g. jaxir.Lambert({})")
         count = mesh.count
         value = as_float(temperature, "Skin.temperature")
         if value.shape not in ((), (1,), (count,)):
@@ -80,4 +85,6 @@ class Skin(eqx.Module):
 
     def checks(self) -> list[Check]:
         """Temperatures are positive, vertices finite, the brdf's parameters in range."""
-        return [*self.mesh.checks(), positive("Skin.temperature", self.temperature), *self.brdf.checks()]
+        name = "Skin.temperature"
+        temperature = [positive(name, self.temperature), KELVIN(name, self.temperature)]
+        return [*self.mesh.checks(), *temperature, *self.brdf.checks()]

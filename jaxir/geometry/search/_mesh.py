@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._arrays import Check, as_float, below, enforce, finite
 from jaxir._math import dot
+from jaxir._plausible import EXTENT
 from jaxir.geometry import Bundle, Hit, Rays, corners_of, reattach, unit_normal
 from jaxir.geometry.search._bundles import View, project, search_bundle
 from jaxir.geometry.search._outline import front_of, outline
@@ -115,8 +116,12 @@ class Mesh(eqx.Module):
         return lax.stop_gradient(single_leaf(self.vertices, self.faces) if self.tree is None else self.tree)
 
     def checks(self) -> list[Check]:
-        """Vertices are finite and not astronomical."""
-        return [finite("Mesh.vertices", self.vertices), below("Mesh.vertices", self.vertices, _LARGEST, "m")]
+        """Vertices are finite and not astronomical; the mesh is as large as a body is."""
+        return [
+            finite("Mesh.vertices", self.vertices),
+            below("Mesh.vertices", self.vertices, _LARGEST, "m"),
+            EXTENT("Mesh: longest side", self.vertices, lambda points: np.ptp(points, axis=-2).max(axis=-1)),
+        ]
 
 
 def closest_hit(

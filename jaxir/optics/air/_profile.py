@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float, fraction, increasing, positive
+from jaxir._arrays import Check, as_float, fraction, increasing, positive
 from jaxir._fields import Physical, quantity
+from jaxir._plausible import KELVIN, PASCAL, usual
 from jaxir.optics._tables import rows
 
 
@@ -40,10 +41,17 @@ class Profile(Physical):
     """
 
     altitude: Float[Array, " level"] = quantity("m", ("level",), increasing, least=2)
-    temperature: Float[Array, " level"] = quantity("K", ("level",), positive)
+    temperature: Float[Array, " level"] = quantity("K", ("level",), (positive, KELVIN))
     pressure: Float[Array, " level"] = quantity("Pa", ("level",), positive)
     h2o: Float[Array, " level"] = quantity("1", ("level",), (positive, fraction))
     o3: Float[Array, " level"] = quantity("1", ("level",), (positive, fraction))
+
+    def doubts(self) -> list[Check]:
+        """The profile reaches from the thick air at the ground to the height of clouds at least."""
+        return [
+            usual(200, 1e6, "m", below="is it in km?")("Profile: highest altitude", self.altitude, np.max),
+            PASCAL("Profile: highest pressure", self.pressure, np.max),
+        ]
 
     def at(self, altitude: Float[Array, "*batch"]) -> AirState:
         """The state at `altitude` [m] inside the levels. Differentiable in altitude and in the profile."""

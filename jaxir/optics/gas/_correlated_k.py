@@ -12,9 +12,17 @@ import numpy as np
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, fraction, on_host, positive, require
+from jaxir._arrays import Check, as_float, fraction, known, on_host, positive, require
 from jaxir._fields import quantity
-from jaxir.optics.gas._gas import AbstractGas, require_cells, require_one_shape, require_uniform, sum_of_mole_fractions
+from jaxir._plausible import PASCAL, usual
+from jaxir.optics.gas._gas import (
+    COLD,
+    AbstractGas,
+    require_cells,
+    require_one_shape,
+    require_uniform,
+    sum_of_mole_fractions,
+)
 from jaxir.optics.gas._spline import spline_matrix, spline_weights
 from jaxir.optics.spectrum import Nodes, quantile_index
 
@@ -106,9 +114,12 @@ class CrossSections(eqx.Module):
         self.g = nodes.g[:, quantile_index(species)]
 
     def levels(self) -> dict[str, np.ndarray]:
-        """Levels of temperature [K], pressure [Pa] and mole fraction by name, on the host in double precision."""
+        """Levels of temperature [K], pressure [Pa] and mole fraction by name, on the host in double precision.
+
+        NaN where they are not known.
+        """
         inverse, log_pressure, amount = (
-            np.asarray(axis.levels, np.float64) for axis in (self.temperature, self.pressure, self.mole_fraction)
+            np.asarray(known(axis.levels), np.float64) for axis in (self.temperature, self.pressure, self.mole_fraction)
         )
         return {"temperature": -_KELVIN / inverse, "pressure": np.exp(log_pressure), "mole_fraction": amount}
 
@@ -171,7 +182,7 @@ class CorrelatedK(AbstractGas):
     """
 
     tables: tuple[CrossSections, ...]
-    pressure: Float[Array, "*cell"] = quantity("Pa", ("*cell",), positive)
+    pressure: Float[Array, "*cell"] = quantity("Pa", ("*cell",), (positive, PASCAL))
     mole_fractions: dict[str, Float[Array, "*cell"]]
 
     def __init__(self, tables: Sequence[CrossSections], pressure: Any, mole_fractions: Mapping[str, Any]):
@@ -227,12 +238,26 @@ class CorrelatedK(AbstractGas):
         """See `AbstractGas.amounts`: the mole fractions of all species."""
         return tuple(self.mole_fractions.values())
 
+    def untested(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
+        """See `AbstractGas.untested`: the levels of every table; somewhat colder gas hardly radiates."""
+        return [_within(table, "temperature", "K", field, temperature, COLD) for table in self.tables]
+
+    def doubts(self) -> list[Check]:
+        """Pressures lie between the levels of every table."""
+        return [_within(table, "pressure", "Pa", "CorrelatedK.pressure", self.pressure) for table in self.tables]
+
     def relations(self) -> list[Check]:
         """Mole fractions lie in [0, 1] and sum to at most 1."""
         return [
             *(fraction(f"CorrelatedK.mole_fractions.{species}", x) for species, x in self.mole_fractions.items()),
             sum_of_mole_fractions("CorrelatedK", self.mole_fractions),
         ]
+
+
+def _within(table: CrossSections, axis: str, unit: str, field: str, value: Array, share: float = 1.0) -> Check:
+    """A doubt of values beyond the levels of an axis of `table`, of which the lowest counts by a share of it."""
+    levels, hint = table.levels()[axis], f"the table of {table.species} is continued beyond its levels, untested"
+    return usual(share * levels.min(), levels.max(), unit, hint, hint)(field, value)
 
 
 def _matching(table: CrossSections, nodes: Nodes) -> list[Check]:

@@ -14,6 +14,8 @@ from jaxir._arrays import Check
 from jaxir._fields import Physical
 from jaxir.optics.spectrum import Nodes
 
+COLD = 2 / 3  # share of the lowest temperature of a table down to which gas may be colder: it hardly radiates
+
 
 class AbstractGas(Physical):
     """A gas: absorption coefficient per node as a function of temperature and of the gas's own fields."""
@@ -41,6 +43,10 @@ class AbstractGas(Physical):
 
         Of any kind, because fits ask for them in gases whose leaves stand for themselves.
         """
+
+    def untested(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
+        """Doubts of temperatures [*cell] [K], a `field` of the plume: what the gas's data do not reach; here none."""
+        return []
 
 
 def require_cells(name: str, fields: list[Array], temperature: Array) -> None:

@@ -11,14 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, fraction, on_host, positive, require
+from jaxir._arrays import Check, as_float, fraction, positive, require
 from jaxir._fields import quantity
+from jaxir._plausible import PASCAL, doubt, usual
 from jaxir.optics._tables import ABSENT, HOT_GAS_EDGES, HOT_GAS_TEMPERATURE, hot_gas, overlap_matrix
 from jaxir.optics.gas._combustion import NITROGEN_PER_OXYGEN
-from jaxir.optics.gas._gas import AbstractGas, require_cells, require_uniform, sum_of_mole_fractions
+from jaxir.optics.gas._gas import COLD, AbstractGas, require_cells, require_uniform, sum_of_mole_fractions
 from jaxir.optics.gas._k_distribution import log_quantile, quantile_series
 from jaxir.optics.gas._spline import spline_matrix, spline_weights
-from jaxir.optics.spectrum import Nodes, quantile_index
+from jaxir.optics.spectrum import Nodes, bins_inside, quantile_index
 
 ATMOSPHERE = 101325.0  # Pa
 # Lorentz half-widths at 273 K and 1 atm [cm-1] in CO2, H2O, CO, O2, N2; resonant part of the own species (NASA
@@ -65,7 +66,7 @@ class NarrowBandGas(AbstractGas):
     Differentiable in every field; not in the quantiles of the nodes.
     """
 
-    pressure: Float[Array, "*cell"] = quantity("Pa", ("*cell",), positive)
+    pressure: Float[Array, "*cell"] = quantity("Pa", ("*cell",), (positive, PASCAL))
     h2o: Float[Array, "*cell"] | None = quantity("1", ("*cell",), fraction, default=None)
     co2: Float[Array, "*cell"] | None = quantity("1", ("*cell",), fraction, default=None)
     co: Float[Array, "*cell"] | None = quantity("1", ("*cell",), fraction, default=None)
@@ -77,9 +78,7 @@ class NarrowBandGas(AbstractGas):
 
     def node_checks(self, nodes: Nodes) -> list[Check]:
         """See `Physical.node_checks`: bins lie above 800 cm-1."""
-        _, lower = on_host(nodes.lower)
-        above = lower >= HOT_GAS_EDGES[0] * (1 - 1e-6)
-        return [Check("nodes.lower", lower, above, "bins above 800 cm-1, where NarrowBandGas starts")]
+        return [bins_inside("NarrowBandGas", nodes, HOT_GAS_EDGES, transparent_above=True)]
 
     def absorption(self, nodes: Nodes, temperature: Float[Array, "*cell"]) -> Float[Array, "*cell node"]:
         """See `AbstractGas.absorption`.
@@ -130,6 +129,24 @@ class NarrowBandGas(AbstractGas):
     def amounts(self) -> tuple[Any, ...]:
         """See `AbstractGas.amounts`: the mole fractions of the species that absorb."""
         return tuple(amount for amount in (self.h2o, self.co2, self.co) if amount is not None)
+
+    def untested(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
+        """See `AbstractGas.untested`: the table ends at 300 and 2500 K; somewhat colder gas hardly radiates."""
+        hint = "NarrowBandGas goes on beyond its table, untested"
+        return [usual(COLD * HOT_GAS_TEMPERATURE[0], HOT_GAS_TEMPERATURE[-1], "K", hint, hint)(field, temperature)]
+
+    def doubts(self) -> list[Check]:
+        """Where there is exhaust, H2O and CO2 are not as the mass fractions of burnt kerosene or pentane."""
+        if self.h2o is None or self.co2 is None:
+            return []
+
+        def by_mole(h2o: np.ndarray, co2: np.ndarray) -> np.ndarray:
+            by_mass = (h2o > 0.36 * co2) & (h2o < 0.495 * co2)
+            exhaust = co2 > 0.02
+            return np.asarray(~(exhaust & by_mass & np.all(by_mass | ~exhaust)))
+
+        expected = "at least half of co2, as fuels leave it (kerosene .96); are these mass fractions?"
+        return [doubt("NarrowBandGas.h2o", by_mole, expected, self.h2o, self.co2)]
 
     def relations(self) -> list[Check]:
         """Mole fractions sum to at most 1."""

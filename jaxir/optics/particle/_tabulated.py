@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, increasing, non_negative, positive, require, require_shape
 from jaxir._fields import Physical, quantity
+from jaxir._plausible import WAVENUMBER, doubt, usual
 from jaxir.optics._tables import sample_weights
 from jaxir.optics.particle._particles import AbstractParticles, ParticleOptics, exact_difference
 from jaxir.optics.particle._phase import AbstractPhase, TabulatedPhase, from_minus_one_to_one
@@ -30,7 +32,7 @@ class ParticleTable(Physical):
     Differentiable in every field but `wavenumber` and `cosine`.
     """
 
-    wavenumber: Float[Array, " sample"] = quantity("cm-1", ("sample",), (positive, increasing), least=2)
+    wavenumber: Float[Array, " sample"] = quantity("cm-1", ("sample",), (positive, increasing, WAVENUMBER), least=2)
     absorption: Float[Array, " sample"] = quantity("m2", ("sample",))
     scattering: Float[Array, " sample"] = quantity("m2", ("sample",), non_negative)
     volume: Float[Array, ""] = quantity("m3", within=positive)
@@ -77,6 +79,13 @@ class Particles(AbstractParticles):
 
     number_density: Float[Array, "*cell"] = quantity("m-3", ("*cell",), non_negative)
     table: ParticleTable
+
+    def doubts(self) -> list[Check]:
+        """Particles are some in a cubic metre and do not fill a hundredth of it."""
+        name, number = "Particles.number_density", self.number_density
+        few = usual(1e3, np.inf, "m-3", below="is it in cm-3?")(name, number, np.max)
+        filling = "particles that fill at most 1 % of the volume; is it in m-3?"
+        return [few, doubt(name, lambda n, volume: n * volume <= 0.01, filling, number, self.table.volume)]
 
     def node_checks(self, nodes: Nodes) -> list[Check]:
         """See `Physical.node_checks`: bins lie within the table."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,8 +20,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxir._arrays import Check, as_float, float_dtype, on_host
+from jaxir._arrays import Check, as_float, float_dtype, known, on_host, require
+from jaxir._plausible import usual
 
+_MICROMETRES = usual(0.1, 100, "um", below="is it in m?", above="is it in nm or cm-1?")
 SECOND_RADIATION = 1.4387768775039337  # c2 = h c / k [cm K], exact since 2019 (CODATA 2018)
 
 
@@ -48,6 +51,7 @@ class Band(eqx.Module):
             raise ValueError(
                 f"Band {self.name!r}: got edges {self.lower}, {self.upper} um, expected 0 < lower < upper, finite"
             )
+        require([_MICROMETRES(f"Band {self.name!r}", min(max(1.0, self.lower), self.upper))])  # what is nearest to 1 um
         if self.response is not None:
             wavelength = [pair[0] for pair in self.response]
             if wavelength != sorted(set(wavelength)) or (wavelength[0], wavelength[-1]) != (self.lower, self.upper):
@@ -209,8 +213,26 @@ def wavelength_to_wavenumber(wavelength: Float[Array, "*batch"]) -> Float[Array,
     return jnp.asarray(1e4, wavelength.dtype) / wavelength
 
 
-def bins_inside(name: str, nodes: Nodes, wavenumber: Float[Array, " sample"] | np.ndarray) -> Check:
-    """Every bin lies between the ends of the table of `name` over increasing wavenumbers [sample] [cm-1]."""
+def bins_inside(
+    name: str, nodes: Nodes, wavenumber: Float[Array, " sample"] | np.ndarray, transparent_above: bool = False
+) -> Check:
+    """Every bin lies between the ends of the table of `name` over increasing wavenumbers [sample] [cm-1].
+
+    With `transparent_above` bins may lie above it, too.
+    """
     _, lower, upper, samples = on_host(nodes.lower, nodes.upper, wavenumber)
-    covered = (lower >= samples[0] * (1 - 1e-5)) & (upper <= samples[-1] * (1 + 1e-5))
-    return Check("nodes.lower", lower, covered, f"bins inside the table of {name}")
+    covered = lower >= samples[0] * (1 - 1e-5)
+    if not transparent_above:
+        covered = covered & (upper <= samples[-1] * (1 + 1e-5))
+    table = _in_words(samples[:1], samples[-1:]) + (" or above" if transparent_above else "")
+    expected = f"bins inside the table of {name}{table}; asked were bins{_in_words(lower, upper)}"
+    return Check("nodes.lower", lower, covered, expected)
+
+
+def _in_words(lower: Any, upper: Any) -> str:
+    """The span of bins in both units, where known."""
+    ends = known(lower), known(upper)
+    if ends[0] is None or ends[1] is None:
+        return " known at run time"
+    low, high = float(ends[0].min()), float(ends[1].max())
+    return f" of {low:.5g} to {high:.5g} cm-1 ({1e4 / high:.4g} to {1e4 / low:.4g} um)"

@@ -6,8 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, positive, require
+from jaxir._arrays import Check, as_float, finite, positive, require
 from jaxir._fields import quantity
+from jaxir._plausible import usual
 from jaxir.optics._tables import COLD_PATH_EDGES
 from jaxir.optics.air import (
     Profile,
@@ -19,6 +20,8 @@ from jaxir.optics.air import (
 )
 from jaxir.optics.spectrum import Nodes, bins_inside
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
+
+_MADE_FOR = "the fit was made for no more"
 
 
 def _or_us_standard(profile: Profile | None) -> Profile:
@@ -49,9 +52,9 @@ class StandardAtmosphere(AbstractAtmosphere):
     Differentiable in every field but `profile.altitude`.
     """
 
-    sensor_altitude: Float[Array, ""] = quantity("m")
-    target_altitude: Float[Array, ""] = quantity("m")
-    distance: Float[Array, ""] = quantity("m", within=positive)
+    sensor_altitude: Float[Array, ""] = quantity("m", within=(finite, usual(-500, 12e3, "m", above=_MADE_FOR)))
+    target_altitude: Float[Array, ""] = quantity("m", within=(finite, usual(25, 12e3, "m", "is it in km?", _MADE_FOR)))
+    distance: Float[Array, ""] = quantity("m", within=(positive, usual(100, 60e3, "m", "is it in km?", _MADE_FOR)))
     profile: Profile = eqx.field(converter=_or_us_standard, default=None)
 
     def on(self, nodes: Nodes) -> AirPath:

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, fraction, increasing, non_negative, positive, require
 from jaxir._fields import quantity
+from jaxir._plausible import WAVENUMBER
 from jaxir.optics._tables import sample_weights
 from jaxir.optics.spectrum import Nodes, bins_inside
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
@@ -25,7 +26,7 @@ class TableAtmosphere(AbstractAtmosphere):
     Differentiable in transmittance and radiance.
     """
 
-    wavenumber: Float[Array, " sample"] = quantity("cm-1", ("sample",), (positive, increasing), least=2)
+    wavenumber: Float[Array, " sample"] = quantity("cm-1", ("sample",), (positive, increasing, WAVENUMBER), least=2)
     transmittance: Float[Array, " sample"] = quantity("1", ("sample",), fraction)
     spectral_path_radiance: Float[Array, " sample"] | None = quantity(
         "W m-2 sr-1 / cm-1", ("sample",), non_negative, default=None

@@ -7,8 +7,11 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import non_negative, positive
 from jaxir._fields import over_nodes, quantity, spectral
+from jaxir._plausible import KELVIN, usual
 from jaxir.optics.spectrum import Nodes, band_radiance
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
+
+_METRES = usual(100, 1e6, "m", below="is it in km?", above="is it in mm?")
 
 
 class UniformAtmosphere(AbstractAtmosphere):
@@ -23,8 +26,8 @@ class UniformAtmosphere(AbstractAtmosphere):
     """
 
     extinction: Float[Array, " node"] = spectral("m-1")
-    distance: Float[Array, ""] = quantity("m", within=non_negative)
-    temperature: Float[Array, ""] | None = quantity("K", within=positive, default=None)
+    distance: Float[Array, ""] = quantity("m", within=(non_negative, _METRES))
+    temperature: Float[Array, ""] | None = quantity("K", within=(positive, KELVIN), default=None)
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`."""

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, positive
 from jaxir._fields import quantity, spectral
+from jaxir._plausible import KELVIN
 from jaxir.optics.spectrum import Nodes, band_radiance
 from jaxir.scene.light._light import AbstractBackground, spread
 
@@ -49,7 +50,7 @@ class BlackbodyBackground(AbstractBackground):
         temperature: [] [K]. Differentiable.
     """
 
-    temperature: Float[Array, ""] = quantity("K", (), positive)
+    temperature: Float[Array, ""] = quantity("K", (), (positive, KELVIN))
 
     def on(self, nodes: Nodes) -> UniformBackground:
         """See `AbstractLight.on`: the radiance of the blackbody."""

@@ -5,11 +5,14 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir._arrays import unit_vector
+from jaxir._arrays import non_negative, unit_vector
 from jaxir._fields import quantity, spectral
+from jaxir._plausible import usual
 from jaxir.geometry.search import Mesh, occluded
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene.light._light import AbstractDeltaSource, spread
+
+_SUNLIGHT = usual(0, 2e3, "W m-2", above="the Sun gives 1361 at all wavelengths together")
 
 
 class ParallelSource(AbstractDeltaSource):
@@ -23,7 +26,7 @@ class ParallelSource(AbstractDeltaSource):
     """
 
     direction: Float[Array, " 3"] = quantity("1", (3,), unit_vector)
-    irradiance: Float[Array, " node"] = spectral("W m-2")
+    irradiance: Float[Array, " node"] = spectral("W m-2", (non_negative, _SUNLIGHT))
 
     def on(self, nodes: Nodes) -> ParallelSource:
         """See `AbstractLight.on`."""

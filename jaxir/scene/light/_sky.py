@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, non_negative
+from jaxir._arrays import Check, finite, non_negative
 from jaxir._fields import quantity
 from jaxir._math import safe_sqrt
+from jaxir._plausible import ELEVATION
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene.light._light import AbstractBackground, spread
 
@@ -29,7 +30,7 @@ class ElevationTable(AbstractBackground):
     Differentiable in `radiance`.
     """
 
-    elevation: Float[Array, " elevation"] = quantity("deg", ("elevation",))
+    elevation: Float[Array, " elevation"] = quantity("deg", ("elevation",), (finite, ELEVATION))
     radiance: Float[Array, "elevation node"] = quantity("W m-2 sr-1", ("elevation", "node"), non_negative, _rows)
 
     def structure(self) -> None:

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import as_float, broadcast, positive
-from jaxir._fields import quantity
+from jaxir._arrays import Check, as_float, broadcast, positive
+from jaxir._fields import quantity, require_part
+from jaxir._plausible import KELVIN
 from jaxir.geometry import Crossings, Grid, Pieces, Rays, crossings, pdf_box
 from jaxir.medium import CellMedium, Distance, cell_cuts, medium_optics, optical_depth, sample_in_cells
 from jaxir.optics.gas import AbstractGas
@@ -35,7 +36,7 @@ class GridPlume(AbstractPlume):
     """
 
     grid: Grid
-    temperature: Float[Array, "nx ny nz"] = quantity("K", ("nx", "ny", "nz"), positive)
+    temperature: Float[Array, "nx ny nz"] = quantity("K", ("nx", "ny", "nz"), (positive, KELVIN))
     gas: AbstractGas
     particles: AbstractParticles | None
 
@@ -44,12 +45,17 @@ class GridPlume(AbstractPlume):
         value = as_float(temperature, "GridPlume.temperature")
         if value.shape not in ((), grid.shape):
             raise ValueError(f"GridPlume.temperature: got shape {value.shape}, expected one value or {grid.shape}")
+        require_part("GridPlume.gas", gas, "a gas, e.g. jaxir.GrayGas({})")
         self.grid = grid
         self.temperature = broadcast(value, grid.shape)
         self.gas = gas
         if particles is not None and particles.cells not in ((), grid.shape):
             raise ValueError(f"GridPlume.particles: got cells {particles.cells}, expected none or {grid.shape}")
         self.particles = particles
+
+    def doubts(self) -> list[Check]:
+        """Temperatures are those that the gas's data reach."""
+        return self.gas.untested("GridPlume.temperature", self.temperature)
 
     def extent(self) -> Float[Array, "8 3"]:
         """See `AbstractPlume.extent`: corners of the grid."""

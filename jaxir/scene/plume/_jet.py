@@ -10,8 +10,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import Check, as_float, positive
-from jaxir._fields import count, quantity
+from jaxir._fields import count, quantity, require_part
 from jaxir._math import frame_around
+from jaxir._plausible import KELVIN, doubt, usual
 from jaxir.geometry import Grid, Pieces, Rays, pdf_box
 from jaxir.medium import (
     Distance,
@@ -67,15 +68,19 @@ class JetPlume(AbstractPlume):
 
     nozzle: Float[Array, " 3"] = quantity("m", (3,))
     axis: Float[Array, " 3"] = quantity("1", (3,))
-    diameter: Float[Array, ""] = quantity("m", (), positive)
-    exit_temperature: Float[Array, ""] = quantity("K", (), positive)
-    ambient_temperature: Float[Array, ""] = quantity("K", (), positive)
+    diameter: Float[Array, ""] = quantity("m", (), (positive, usual(0.01, 10, "m", above="is it in mm?")))
+    exit_temperature: Float[Array, ""] = quantity("K", (), (positive, KELVIN))
+    ambient_temperature: Float[Array, ""] = quantity("K", (), (positive, KELVIN))
     gas: AbstractGas
     core_length: Float[Array, ""] = quantity("1", (), positive, default=5.0, kw_only=True)
     spreading: Float[Array, ""] = quantity("1", (), positive, default=0.22, kw_only=True)
     length: Float[Array, ""] = quantity("1", (), positive, default=50.0, kw_only=True)
     panels: int = count(default=4, kw_only=True)
     particles: AbstractParticles | None = dataclasses.field(default=None, kw_only=True)
+
+    def structure(self) -> None:
+        """See `Physical.structure`."""
+        require_part("JetPlume.gas", self.gas, "a gas, e.g. jaxir.GrayGas({})")
 
     @property
     def direction(self) -> Float[Array, " 3"]:
@@ -222,6 +227,16 @@ class JetPlume(AbstractPlume):
         radius, end, spread = float(self.diameter) / 2, float(self.shape.end), float(self.spreading)
         rings = [nozzle + z * along + (radius + spread * z) * around for z in np.linspace(0, end, 6)]
         return [*rings, *(np.stack([rings[0][k], rings[-1][k]]) for k in range(0, 32, 8))]
+
+    def doubts(self) -> list[Check]:
+        """Exhaust is warmer than the air, and both are as warm as the gas's data reach."""
+        leaving, still = self.exit_temperature, self.ambient_temperature
+        swapped = "at least ambient_temperature as a rule; are the two swapped?"
+        return [
+            doubt("JetPlume.exit_temperature", np.greater_equal, swapped, leaving, still),
+            *self.gas.untested("JetPlume.exit_temperature", leaving),
+            *self.gas.untested("JetPlume.ambient_temperature", still),
+        ]
 
     def relations(self) -> list[Check]:
         """The axis has a direction."""
