@@ -191,7 +191,7 @@ def _describe(check: Check, ok: np.ndarray) -> str:
     got = value[place]
     where = f" at index {list(place)}" if place else ""
     more = f" ({len(bad)} such values)" if len(bad) > 1 else ""
-    return f"{check.field}: got {got}{where}, expected {check.expected}{more}"
+    return f"{check.field}: got {got!s}{where}, expected {check.expected}{more}"
 
 
 def require(checks: Iterable[Check]) -> None:

@@ -40,14 +40,14 @@ def usual(low: float, high: float, unit: str, below: str = "", above: str = "") 
 
     def inside(value: np.ndarray) -> np.ndarray:
         ends = value.min(initial=high) < least or value.max(initial=low) > most  # spares large fields the rest
-        return ((value == 0) | ~((value < least) | (value > most))) if ends else np.ones(value.shape, bool)
+        return np.asarray((value == 0) | ~((value < least) | (value > most)) if ends else np.ones(value.shape, bool))
 
     def check(field: str, value: Any, of: Callable[[np.ndarray], np.ndarray] = np.asarray) -> Check:
         here, expected = known(value), f"{low:g} to {high:g} {unit} as a rule"
         if here is None:
             return Check(field, value, np.array(True), expected, doubt=True)
         here = np.asarray(of(here))
-        ok = np.asarray(inside(here))
+        ok = inside(here)
         hint = below if (here[~ok][:1] < low).any() else above
         return Check(field, here, ok, expected + (f"; {hint}" if hint else ""), doubt=True)
 

@@ -10,19 +10,21 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import importlib.util
+import inspect
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from jaxir import plot
+from jaxir._arrays import require
 from jaxir.geometry import Camera
-from jaxir.imaging import Image, Outcome, Signature, render, signature
+from jaxir.imaging import Image, Outcome, Signature, check_views, prepare_image, render, signature
 from jaxir.io._files import written_whole
 from jaxir.io.result import (
     Conditions,
@@ -64,7 +66,9 @@ def main(argv: list[str]) -> int:
     arguments = _parser().parse_args(argv)
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *rest: _say(f"warning: {message}")
+        # A scene is checked when it is read and again for every image: what was said is not said again.
+        said = cache(lambda text: _say(f"warning: {text}"))
+        warnings.showwarning = lambda message, *rest: said(str(message))
         try:
             arguments.command(arguments)
         except KeyboardInterrupt:
@@ -299,7 +303,24 @@ def _write(formats: dict[str, Format], path: Path, result: Image | Signature, co
 def _show(arguments: argparse.Namespace) -> None:
     outputs = _outputs(arguments.output, [], SHOW_FORMATS)
     read = _read(arguments.scene)
+    _of(read, partial(_check, read))
     print(read.describe())
     for path in outputs:
         _save_figure(path, plot.scene_view(read.scene, read.cameras))
         print(f"wrote {path}")
+
+
+def _check(read: SceneFile) -> None:
+    """Raise `ValueError` for what `render` and `signature` would refuse."""
+    require(read.scene.checks_on(read.bands))
+    held = {"scene": read.scene, "bands": read.bands, "method": read.method}
+    for camera in read.cameras.values():
+        _prepare(prepare_image, render, **held, **read.render, camera=camera)
+    if "views" in read.signature:
+        _prepare(check_views, signature, **held, **read.signature)
+
+
+def _prepare(preparing: Callable, entry: Callable, **given: Any) -> None:
+    """Call what prepares an entry with what it would be given, its defaults included."""
+    entire = {name: one.default for name, one in inspect.signature(entry).parameters.items()} | given
+    preparing(**{name: entire[name] for name in inspect.signature(preparing).parameters})

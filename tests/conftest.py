@@ -20,6 +20,11 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 install_import_hook("jaxir", "tests.checked.checked")  # for the whole run: modules imported later are checked too
 
 
+def pytest_configure(config):
+    """Physics is tested at odd values on purpose; `test_plausible.py` looks at what is warned of."""
+    config.addinivalue_line("filterwarnings", "ignore::jaxir.PlausibilityWarning")
+
+
 @pytest.fixture(params=["float32", "float64"])
 def precision(request):
     """Run the test in single and in double precision; the value is the dtype's name."""

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from jaxir._arrays import as_float, enforce, key_or_default
+from jaxir._fields import require_part
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._observation import Observation, observe
 from jaxir.fit._parameter import AbstractParameter, Coordinates
@@ -17,6 +18,8 @@ from jaxir.fit._prior import AbstractPrior
 from jaxir.fit._problem import Problem
 from jaxir.fit._surrogate import Surrogate, thinned
 from jaxir.scene import Scene
+
+MEASURED = "made by jaxir.fit.measured_image or measured_intensity, which know camera, bands and errors"
 
 
 def prepare(
@@ -29,6 +32,10 @@ def prepare(
     key: Key[Array, ""] | None = None,
 ) -> Problem:
     """Check a fit and trace its rays; arguments and errors as `fit`. Solve it as often as values change."""
+    if not isinstance(measurements, Sequence):
+        raise ValueError(f"measurements: got a {type(measurements).__name__}, expected a list, each of them {MEASURED}")
+    for index, measurement in enumerate(measurements):
+        require_part(f"measurements[{index}]", measurement, f"one {MEASURED}")
     if not measurements:
         raise ValueError("measurements: got none, expected at least one")
     if not robust > 0:

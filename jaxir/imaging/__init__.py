@@ -10,6 +10,7 @@ from jaxir.imaging._devices import shared_by as shared_by
 from jaxir.imaging._faces import unoccluded_intensity as unoccluded_intensity
 from jaxir.imaging._image import Image as Image
 from jaxir.imaging._image import Outcome as Outcome
+from jaxir.imaging._passes import prepare_image as prepare_image
 from jaxir.imaging._passes import render as render
 from jaxir.imaging._pilot import ErrorLaw as ErrorLaw
 from jaxir.imaging._pilot import Pilot as Pilot
@@ -23,6 +24,7 @@ from jaxir.imaging._plumes import entering as entering
 from jaxir.imaging._plumes import plume_intensity as plume_intensity
 from jaxir.imaging._views import Signature as Signature
 from jaxir.imaging._views import Views as Views
+from jaxir.imaging._views import check_views as check_views
 from jaxir.imaging._views import prepare_views as prepare_views
 from jaxir.imaging._views import signature as signature
 from jaxir.imaging._views import view_intensity as view_intensity

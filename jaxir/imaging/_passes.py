@@ -11,7 +11,7 @@ from jaxtyping import Array, Key
 
 from jaxir._arrays import key_or_default
 from jaxir.geometry import Camera, pixel_strata
-from jaxir.imaging._chunks import PARTS, as_number, estimate_chunk, first_pass, whole_image
+from jaxir.imaging._chunks import PARTS, Pass, as_number, estimate_chunk, first_pass, whole_image
 from jaxir.imaging._devices import is_traced, over_items, shared_by
 from jaxir.imaging._image import Image, Outcome, joined, meets
 from jaxir.imaging._pilot import well_shaped
@@ -69,21 +69,15 @@ def render(
     Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
     geometry is seen as fixed.
     """
-    key = key_or_default(key)
+    first = prepare_image(
+        scene, camera, bands, samples=samples, key=key, method=method, rtol=rtol, max_samples=max_samples
+    )
     planned = samples is None and rtol is not None
-    if rtol is not None:
-        if is_traced((scene, camera, key, method)):
-            raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
-        require_rtol(rtol)
     samples = 8 if samples is None else samples
-    least = FEW if planned else samples
-    if max_samples < least:
-        raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
-    parts = PARTS if devices is None else max(PARTS, devices.size)
-    first = first_pass(scene, camera, bands, key, least, Method() if method is None else method, parts)
     if planned and rtol is not None:
-        found = plan_pass(first._replace(parts=PARTS), rtol, max_samples, method is not None)
+        found = plan_pass(first, rtol, max_samples, method is not None)
         samples, first = found.samples, first._replace(method=found.method)
+    first = first._replace(parts=PARTS if devices is None else max(PARTS, devices.size))
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 
     def take(number: int, samples: int) -> Image:
@@ -99,6 +93,29 @@ def render(
         image = joined(image, take(passes, more))
     outcome = Outcome.tolerance_met if meets(image, rtol) else Outcome.samples_spent
     return eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
+
+
+def prepare_image(
+    scene: Scene,
+    camera: Camera,
+    bands: Nodes | Band | Sequence[Band],
+    *,
+    samples: int | None,
+    key: Key[Array, ""] | None,
+    method: Method | None,
+    rtol: float | None,
+    max_samples: int,
+) -> Pass:
+    """Check what `render` is asked and make its first pass ready; arguments and errors as there."""
+    key = key_or_default(key)
+    if rtol is not None:
+        if is_traced((scene, camera, key, method)):
+            raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
+        require_rtol(rtol)
+    least = samples if samples is not None else 8 if rtol is None else FEW
+    if max_samples < least:
+        raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
+    return first_pass(scene, camera, bands, key, least, Method() if method is None else method)
 
 
 def top_up(image: Image, rtol: float, most: int) -> int:

@@ -14,7 +14,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import as_float, enforce, key_or_default
-from jaxir.geometry import Camera, pixel_strata, view_checks
+from jaxir.geometry import Camera, fitted_camera, pixel_strata, view_checks
 from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_eye, whole_image
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
@@ -134,16 +134,45 @@ def prepare_views(
     method: Method,
 ) -> Views:
     """Check what `signature` is asked and make it ready; arguments and errors as there."""
-    aspect = as_float(views, "views")
-    if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
-        raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
-    nodes = as_nodes(bands)
-    key = key_or_default(key)
-    away = as_float(distance, "distance")
-    nodes = enforce(nodes, [*scene.checks_on(nodes), *view_checks(aspect), *method.checks_for(scene)])
+    aspect, nodes, away = _checked(scene, views, bands, distance, method)
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach)])
-    return Views(lit, cameras, key, pixel_strata(samples), method.resolved(scene), aspect)
+    return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method.resolved(scene), aspect)
+
+
+def check_views(
+    scene: Scene,
+    views: Any,
+    bands: Nodes | Band | Sequence[Band],
+    *,
+    distance: Any,
+    shape: tuple[int, int],
+    samples: int,
+    method: Method | None,
+) -> None:
+    """Raise what `signature` would, before anything is computed; arguments and errors as there."""
+    aspect, nodes, away = _checked(scene, views, bands, distance, Method() if method is None else method)
+    pixel_strata(samples)
+    eqx.filter_eval_shape(_prepared, scene, nodes, aspect, shape, away)  # parts that do not suit the nodes
+    enforce(nodes, [eye_outside(_reach(scene, aspect, shape, away))])
+
+
+def _checked(
+    scene: Scene, views: Any, bands: Nodes | Band | Sequence[Band], distance: Any, method: Method
+) -> tuple[Array, Nodes, Array]:
+    """Aspects, nodes and the distance, once all values are in range."""
+    aspect, nodes = as_float(views, "views"), as_nodes(bands)
+    if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
+        raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
+    checks = [*scene.checks_on(nodes), *view_checks(aspect), *method.checks_for(scene)]
+    return aspect, enforce(nodes, checks), as_float(distance, "distance")
+
+
+@eqx.filter_jit
+def _reach(scene: Scene, aspect: Array, shape: tuple[int, int], distance: Array) -> Array:
+    """How far the scene reaches towards the eyes of cameras that hold it [view]."""
+    extent = scene.extent()
+    return jax.vmap(lambda a: reach_to_eye(scene, fitted_camera(a[0], a[1], extent, shape, distance)))(aspect)
 
 
 @eqx.filter_jit

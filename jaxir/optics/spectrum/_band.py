@@ -225,7 +225,7 @@ def bins_inside(
     if not transparent_above:
         covered = covered & (upper <= samples[-1] * (1 + 1e-5))
     table = _in_words(samples[:1], samples[-1:]) + (" or above" if transparent_above else "")
-    expected = f"bins inside the table of {name}{table}; asked were bins{_in_words(lower, upper)}"
+    expected = f"bins inside the table of {name}, {table}; asked were {_in_words(lower, upper)}"
     return Check("nodes.lower", lower, covered, expected)
 
 
@@ -233,6 +233,6 @@ def _in_words(lower: Any, upper: Any) -> str:
     """The span of bins in both units, where known."""
     ends = known(lower), known(upper)
     if ends[0] is None or ends[1] is None:
-        return " known at run time"
+        return "known at run time"
     low, high = float(ends[0].min()), float(ends[1].max())
-    return f" of {low:.5g} to {high:.5g} cm-1 ({1e4 / high:.4g} to {1e4 / low:.4g} um)"
+    return f"{low:.5g} to {high:.5g} cm-1 ({1e4 / high:.4g} to {1e4 / low:.4g} um)"
