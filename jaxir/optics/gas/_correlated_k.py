@@ -165,7 +165,7 @@ class CorrelatedK(AbstractGas):
     bins with squares of quantiles (`resolved_nodes`) let them overlap at random. ln sigma is a cubic spline in 1/T,
     ln p and x between the levels of the table; beyond them it goes on along its tangents, for temperature with the
     Boltzmann factor of one energy. That keeps values and gradients smooth in cold cells and for hot iterates of a fit;
-    it is untested against lines.
+    it is untested against lines, so temperatures and pressures far beyond are warned of (`PlausibilityWarning`).
 
     Accuracy. At one temperature only quadrature and interpolation err: 8 quantiles of 25 cm-1 bins are within 1 % of
     line by line for CO2 at 4.3 um (330-1500 K, 3 mm to 10 m at 0.3 atm). Where hot gas shines through colder gas of
@@ -256,8 +256,9 @@ class CorrelatedK(AbstractGas):
 
 def _within(table: CrossSections, axis: str, unit: str, field: str, value: Array, share: float = 1.0) -> Check:
     """A doubt of values beyond the levels of an axis of `table`, of which the lowest counts by a share of it."""
-    levels, hint = table.levels()[axis], f"the table of {table.species} is continued beyond its levels, untested"
-    return usual(share * levels.min(), levels.max(), unit, hint, hint)(field, value)
+    lowest, highest = table.levels()[axis].min(), table.levels()[axis].max()
+    hint = f"the table of {table.species} covers {lowest:g} to {highest:g} {unit}"
+    return usual(share * lowest, highest, unit, hint, hint)(field, value)
 
 
 def _matching(table: CrossSections, nodes: Nodes) -> list[Check]:

@@ -56,7 +56,7 @@ class NarrowBandGas(AbstractGas):
 
     ln k and ln 1/d are cubic splines in ln T between 300 and 2500 K (they err by less than 1 % where the gas matters)
     and straight lines in ln T beyond: values and gradients stay smooth through cold cells and hot iterates, and are
-    untested outside the range. The table spans 800-9300 cm-1 (1.08-12.5 um); above it the gas is transparent.
+    untested outside the range: cells below 200 or above 2500 K are warned of (`PlausibilityWarning`). The table spans 800-9300 cm-1 (1.08-12.5 um); above it the gas is transparent.
 
     Attributes:
         pressure: total pressure [*cell] or scalar [Pa].
@@ -132,8 +132,9 @@ class NarrowBandGas(AbstractGas):
 
     def untested(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
         """See `AbstractGas.untested`: the table ends at 300 and 2500 K; somewhat colder gas hardly radiates."""
-        hint = "NarrowBandGas goes on beyond its table, untested"
-        return [usual(COLD * HOT_GAS_TEMPERATURE[0], HOT_GAS_TEMPERATURE[-1], "K", hint, hint)(field, temperature)]
+        lowest, highest = HOT_GAS_TEMPERATURE[0], HOT_GAS_TEMPERATURE[-1]
+        hint = f"the table of NarrowBandGas covers {lowest:g} to {highest:g} K"
+        return [usual(COLD * lowest, highest, "K", hint, hint)(field, temperature)]
 
     def doubts(self) -> list[Check]:
         """Where there is exhaust, H2O and CO2 are not as the mass fractions of burnt kerosene or pentane."""

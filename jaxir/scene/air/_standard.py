@@ -32,7 +32,8 @@ class StandardAtmosphere(AbstractAtmosphere):
     """Molecular absorption and emission of a straight path, from the embedded fit to LOWTRAN 7 (no haze, no clouds).
 
     The path runs over the round earth, slant or level; refraction is left out. Equations and accuracy are those of
-    `jaxir.optics.air`, made for altitudes up to 12 km and paths up to 60 km through the US Standard Atmosphere.
+    `jaxir.optics.air`, made for altitudes up to 12 km and paths up to 60 km through the US Standard Atmosphere; more of
+    either is warned of (`PlausibilityWarning`), and a path that leaves the profile (25 km) is refused.
     Scattered sunlight is not part of the path radiance. LOWTRAN 7 gives its lowest kilometre the mean temperature of
     the layer; here each segment has its own, so a sensor on the ground sees 288 K instead of 285 K where the air is
     opaque.
