@@ -19,6 +19,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
+import equinox as eqx
 import numpy as np
 
 from jaxir import plot
@@ -313,6 +314,7 @@ def _show(arguments: argparse.Namespace) -> None:
 def _check(read: SceneFile) -> None:
     """Raise `ValueError` for what `render` and `signature` would refuse."""
     require(read.scene.checks_on(read.bands))
+    eqx.filter_eval_shape(Scene.on, read.scene, read.bands)
     held = {"scene": read.scene, "bands": read.bands, "method": read.method}
     for camera in read.cameras.values():
         _prepare(prepare_image, render, **held, **read.render, camera=camera)

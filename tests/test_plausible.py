@@ -256,7 +256,8 @@ NEAR = TEXT.replace("orthographic", "perspective").replace("pixel =", "distance 
         (TEXT.replace("samples = 2", "samples = 3"), "samples: got 3, expected an even number"),
         (TEXT.replace("samples = 2", "rtol = -1.0"), "rtol: got -1.0, expected > 0"),
         (TEXT.replace("[2.0, 0.1]", "[2.0, 0.1, 1.0]"), "ParallelSource.irradiance: got 3 spectral values"),
-        (TEXT[: TEXT.index("[camera]")].replace("0.8", "1.8"), r"Lambert.emissivity: got 1.8"),
+        (TEXT[: TEXT.index("[camera]")].replace("[2.0, 0.1]", "[2.0, 0.1, 1.0]"), "irradiance: got 3 spectral values"),
+        (TEXT[: TEXT.index("[camera]")].replace("0.8", "1.8"), "Lambert.emissivity: got 1.8"),
     ],
 )
 def test_show_refuses_what_render_and_signature_would(text, message, tmp_path, capsys):

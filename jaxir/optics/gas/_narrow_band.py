@@ -56,7 +56,8 @@ class NarrowBandGas(AbstractGas):
 
     ln k and ln 1/d are cubic splines in ln T between 300 and 2500 K (they err by less than 1 % where the gas matters)
     and straight lines in ln T beyond: values and gradients stay smooth through cold cells and hot iterates, and are
-    untested outside the range: cells below 200 or above 2500 K are warned of (`PlausibilityWarning`). The table spans 800-9300 cm-1 (1.08-12.5 um); above it the gas is transparent.
+    untested outside the range: cells below 200 or above 2500 K are warned of (`PlausibilityWarning`). The table spans
+    800-9300 cm-1 (1.08-12.5 um); above it the gas is transparent.
 
     Attributes:
         pressure: total pressure [*cell] or scalar [Pa].
