@@ -67,6 +67,7 @@ from jaxir.optics.spectrum import brightness_temperature as brightness_temperatu
 from jaxir.optics.spectrum import gray_nodes as gray_nodes
 from jaxir.optics.spectrum import nodes_for as nodes_for
 from jaxir.optics.spectrum import resolved_nodes as resolved_nodes
+from jaxir.scene import scene_nodes as scene_nodes
 from jaxir.optics.spectrum import sensor_band as sensor_band
 
 # Views
@@ -78,6 +79,7 @@ from jaxir.geometry import perspective_camera as perspective_camera
 from jaxir.geometry.search import visible_faces as visible_faces
 
 # Images and intensities
+from jaxir.imaging import ErrorBudget as ErrorBudget
 from jaxir.imaging import Image as Image
 from jaxir.imaging import Outcome as Outcome
 from jaxir.imaging import Plan as Plan

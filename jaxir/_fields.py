@@ -15,7 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxir._arrays import Check, as_float, broadcast, finite, non_negative, reshaped
+from jaxir._arrays import Check, as_float, broadcast, finite, non_negative, on_host, reshaped
 
 Axes = tuple[int | str, ...]
 Range = Callable[[str, Array], Check]
@@ -142,13 +142,42 @@ class Physical(eqx.Module):
         """What must hold between the fields, beyond the range of each."""
         return []
 
+    @property
+    def has_spectrum(self) -> bool:
+        """Whether it depends on the wavenumber inside a band: here, whether a part does."""
+        return any(part.has_spectrum for part in self._parts() if isinstance(part, Physical))
+
     def doubts(self) -> list[Check]:
         """What is unlikely of several fields together, see `jaxir._plausible`; of known values, outside jit."""
         return []
 
     def node_checks(self, nodes: Any) -> list[Check]:
-        """What must hold between this and the spectral nodes of a computation: here, what its parts ask."""
-        return [check for part in self._parts() if isinstance(part, Physical) for check in part.node_checks(nodes)]
+        """What must hold between this and the spectral nodes of a computation: light given by band, and the parts."""
+        return [
+            *self._light_checks(nodes),
+            *(check for part in self._parts() if isinstance(part, Physical) for check in part.node_checks(nodes)),
+        ]
+
+    def _light_checks(self, nodes: Any) -> list[Check]:
+        """Bands do not overlap where light is given for bands and there are more nodes than those, see `by_band`."""
+        bands = len(nodes.names)
+        given = [
+            name
+            for name, declared in _declared(self)
+            if declared.unit.startswith("W")
+            and declared.shape is not None
+            and "node" in declared.shape
+            and getattr(self, name) is not None
+            and getattr(self, name).shape[declared.shape.index("node") - len(declared.shape)] in (1, bands)
+        ]
+        if not given or bands in (1, nodes.count):
+            return []
+        _, response = on_host(nodes.response)
+        count = (response > 0).sum(axis=0)
+        return [
+            Check(f"{type(self).__name__}.{name}: bands of a node", count, count <= 1, "1, or light given node by node")
+            for name in given
+        ]
 
     def _parts(self) -> list[Any]:
         """The physical objects among the fields."""
@@ -161,6 +190,66 @@ class Physical(eqx.Module):
 def _compiled_relations(of: Physical) -> list[Check]:
     """`Physical.relations` as one program instead of one for each of its operations."""
     return of.relations()
+
+
+def by_band(of: P, nodes: Any) -> P:
+    """The same object, and all its parts, with what was given for bands spread over the nodes of the bands.
+
+    A field whose node axis is as long as there are bands, and not as there are nodes, has one value for each band.
+    Light (any unit of W) is divided among the bins of a band in proportion to their widths in wavenumber, also where
+    one number was given for every band: on any nodes it is the light in the band. Everything else is the same at all
+    nodes of a band.
+
+    Args:
+        of: the object.
+        nodes: the spectral axis, `jaxir.Nodes`.
+
+    Differentiable in the fields.
+    """
+    bands = len(nodes.names)
+    if bands == nodes.count:
+        return of
+    inside = nodes.response > 0
+    width = jnp.where(inside, (nodes.upper - nodes.lower)[None], 0)
+    share = width / jnp.sum(width * nodes.weight[None], axis=1, keepdims=True)
+    band = jnp.argmax(inside, axis=0)
+
+    def spread(of: Any) -> Any:
+        changed: dict[str, Any] = {}
+        for name, declared in _declared(of):
+            value, shape = getattr(of, name), declared.shape
+            if value is None or shape is None or "node" not in shape:
+                continue
+            axis = shape.index("node") - len(shape)
+            if value.shape[axis] == bands and bands > 1:
+                value = jnp.take(value, band, axis=axis)
+            elif value.shape[axis] != 1:
+                continue
+            if declared.unit.startswith("W"):
+                value = value * jnp.sum(share, axis=0).reshape((1,) * (value.ndim + axis) + (-1,) + (1,) * (-axis - 1))
+            changed[name] = value
+        for entry in dataclasses.fields(of):
+            part = getattr(of, entry.name)
+            if isinstance(part, Physical):
+                changed[entry.name] = spread(part)
+            elif isinstance(part, tuple) and any(isinstance(one, Physical) for one in part):
+                changed[entry.name] = tuple(spread(one) if isinstance(one, Physical) else one for one in part)
+        return _replaced(of, changed)
+
+    return spread(of)
+
+
+def _replaced(of: P, changed: dict[str, Any]) -> P:
+    """The same object with other values, not checked anew."""
+    if not changed:
+        return of
+    names = list(changed)
+    return eqx.tree_at(
+        lambda part: [getattr(part, name) for name in names],
+        of,
+        [changed[name] for name in names],
+        is_leaf=lambda leaf: leaf is None,
+    )
 
 
 def over_nodes(of: P, nodes: int, names: tuple[str, ...]) -> P:
@@ -184,7 +273,7 @@ def over_nodes(of: P, nodes: int, names: tuple[str, ...]) -> P:
                 f"each node of the bands {names}"
             )
         values.append(jnp.broadcast_to(value, (*value.shape[:-1], nodes)))
-    return eqx.tree_at(lambda part: [getattr(part, name) for name in fields], of, values)
+    return _replaced(of, dict(zip(fields, values, strict=True)))
 
 
 def _declared(of: Physical) -> Iterator[tuple[str, _Quantity]]:

@@ -14,7 +14,7 @@ import inspect
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -25,7 +25,7 @@ import numpy as np
 from jaxir import plot
 from jaxir._arrays import require
 from jaxir.geometry import Camera
-from jaxir.imaging import Image, Outcome, Signature, check_views, prepare_image, render, signature
+from jaxir.imaging import ErrorBudget, Image, Outcome, Signature, check_views, prepare_image, render, signature
 from jaxir.io._files import written_whole
 from jaxir.io.result import (
     Conditions,
@@ -38,6 +38,7 @@ from jaxir.io.result import (
     save_tiff,
 )
 from jaxir.io.scene_file import SceneFile, load_scene
+from jaxir.optics.spectrum import as_nodes
 from jaxir.quantity import alone, at_target
 from jaxir.scene import Scene
 
@@ -222,10 +223,6 @@ def _named(path: Path, *parts: str) -> Path:
     return path.with_name(path.stem + "".join(parts) + path.suffix)
 
 
-def _per_band(bands: Iterable[str], values: Any, errors: Any) -> str:
-    return ", ".join(f"{b} {v:.5g} ± {e:.1g}" for b, v, e in zip(bands, values.tolist(), errors.tolist(), strict=True))
-
-
 def _render(arguments: argparse.Namespace) -> None:
     outputs = _outputs(arguments.output, [Path(f"{arguments.scene.stem}.npz")], RENDER_FORMATS)
     read = _read(arguments.scene)
@@ -238,10 +235,12 @@ def _render(arguments: argparse.Namespace) -> None:
             image = _of(read, partial(render, scene, camera, read.bands, method=read.method, **read.render))
             if bool(image.outcome == Outcome.samples_spent):
                 warnings.warn(f"{read.file}: render.rtol was not met with {int(image.samples)} samples", stacklevel=1)
-            _warn_of_truncation(read, image.truncation)
-            intensity, error = np.asarray(image.radiant_intensity()), np.asarray(image.intensity_error())
-            conditions = _conditions(read, quantity, began, **_camera_conditions(name, camera, image))
-            print(f"{name or 'image'}, {quantity} [W/sr]: {_per_band(image.bands, intensity, error)}")
+            errors = image.error_budget()
+            _warn_of_errors(read, errors)
+            conditions = _conditions(
+                read, quantity, began, errors=errors.described(), **_camera_conditions(name, camera, image)
+            )
+            print(f"{name or 'image'}, {quantity}\n{errors}")
             for path in outputs:
                 _write(RENDER_FORMATS, _named(path, f"_{name}" if name else "", label), image, conditions)
 
@@ -250,11 +249,13 @@ def _camera_conditions(name: str, camera: Camera, image: Image) -> dict[str, str
     return {"camera": name or "camera", "samples": int(image.samples), "unit": "W m-2 sr-1"}
 
 
-def _warn_of_truncation(read: SceneFile, truncation: Any) -> None:
-    """Say what orders of scattering beyond the last would add, where it is more than 1 %."""
-    share = float(np.max(np.asarray(truncation)))
-    if share > 0.01:
-        warnings.warn(f"{read.file}: method.orders leaves out about {share:.0%} of the intensity", stacklevel=2)
+def _warn_of_errors(read: SceneFile, errors: ErrorBudget) -> None:
+    """Say what is left out beyond sampling, where it is more than 1 %."""
+    scale = np.abs(np.asarray(errors.intensity))
+    for part, what in (("truncation", "method.orders leaves out"), ("outside", "the frame leaves out")):
+        share = float(np.max(np.asarray(getattr(errors, part)) / np.where(scale > 0, scale, np.inf)))
+        if share > 0.01:
+            warnings.warn(f"{read.file}: {what} about {share:.0%} of the intensity", stacklevel=2)
 
 
 def _signature(arguments: argparse.Namespace) -> None:
@@ -266,17 +267,14 @@ def _signature(arguments: argparse.Namespace) -> None:
     if "views" not in read.signature:
         raise ValueError(f"{read.file}: got no key signature.views, expected it for signature")
     if any(path.suffix == ".txt" for path in outputs):
-        _of(read, lambda: require_full_table(read.signature["views"], read.bands.names))
+        _of(read, lambda: require_full_table(read.signature["views"], read.names))
     for quantity, label in quantities.items():
         scene, began = _scene_of(read, quantity), time.perf_counter()
         table = _of(read, partial(signature, scene, bands=read.bands, method=read.method, **read.signature))
-        _warn_of_truncation(read, table.truncation)
-        value, error = np.asarray(table.intensity), np.asarray(table.standard_error)
-        largest = np.argmax(value, axis=0), np.arange(value.shape[1])
-        print(
-            f"{len(value)} views, {quantity}, largest [W/sr]: {_per_band(table.bands, value[largest], error[largest])}"
-        )
-        conditions = _conditions(read, quantity, began, unit="W sr-1")
+        errors = table.error_budget()
+        _warn_of_errors(read, errors)
+        print(f"{quantity}\n{errors}")
+        conditions = _conditions(read, quantity, began, errors=errors.described(), unit="W sr-1")
         for path in outputs:
             _write(SIGNATURE_FORMATS, _named(path, label), table, conditions)
 
@@ -313,9 +311,10 @@ def _show(arguments: argparse.Namespace) -> None:
 
 def _check(read: SceneFile) -> None:
     """Raise `ValueError` for what `render` and `signature` would refuse."""
-    require(read.scene.checks_on(read.bands))
-    eqx.filter_eval_shape(Scene.on, read.scene, read.bands)
-    held = {"scene": read.scene, "bands": read.bands, "method": read.method}
+    nodes = as_nodes(read.bands)  # their ranges are those of any nodes of the bands
+    require(read.scene.checks_on(nodes))
+    eqx.filter_eval_shape(Scene.on, read.scene, nodes)
+    held = {"scene": read.scene, "bands": nodes, "method": read.method}
     for camera in read.cameras.values():
         _prepare(prepare_image, render, **held, **read.render, camera=camera)
     if "views" in read.signature:

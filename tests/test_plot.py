@@ -67,6 +67,10 @@ def test_a_fit_s_report_names_its_parameters():
     fit = Fit(
         scene=jaxir.Scene(plate()),
         uncertainty=found,
+        reach=jnp.stack([found.value, found.value]),
+        at_bounds=(),
+        bands=(("MWIR", "LWIR"),),
+        robust=float("inf"),
         residual=residual,
         chi_squared=zero + 9,
         degrees_of_freedom=10,

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check, as_float, broadcast, enforce, positive, reshaped
 from jaxir.geometry import Camera, view_checks
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Scene, on_nodes
+from jaxir.scene import Scene, on_nodes, scene_nodes
 from jaxir.transport import Method, graded_cameras
 
 
@@ -79,7 +79,7 @@ def measured_intensity(
     Raises:
         ValueError: shapes disagree, values are not finite, standard deviations not positive.
     """
-    nodes = as_nodes(bands)
+    nodes = scene_nodes(scene, bands)
     aspect = as_float(views, "views")
     if aspect.ndim != 2 or aspect.shape[1] != 2:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")

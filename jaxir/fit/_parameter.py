@@ -19,12 +19,16 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, float_dtype
 from jaxir.scene import Scene
 
 Where = Callable[[Scene], Any]
+
+
+NEAR_BOUND = 1e-3  # share of the interval, or of the way from the start, within which a value is at its bound
 
 
 class Bounds(eqx.Module):
@@ -238,6 +242,22 @@ class Coordinates(eqx.Module):
     def slope(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
         """dx/dz of every number at z."""
         return jax.jvp(self.values, (z,), (jnp.ones_like(z),))[1]
+
+
+def at_bounds(coordinates: Coordinates, values: Float[Array, " p"]) -> tuple[str, ...]:
+    """What is said of the fitted numbers that lie at a bound, as far as their coordinate can bring them there."""
+    said, label = [], iter(coordinates.labels)
+    for p, piece in zip(coordinates.parameters, coordinates.pieces(values), strict=True):
+        start = np.asarray(p.read(coordinates.start), np.float64)
+        low, high = p.bounds.lower, p.bounds.upper
+        for value, begin in zip(np.asarray(piece, np.float64), start, strict=True):
+            name = next(label)
+            span = high - low if math.isfinite(high) else begin - low
+            if math.isfinite(low) and value - low < NEAR_BOUND * span:
+                said.append(f"{name} is at its lower bound {low:g}")
+            elif math.isfinite(high) and high - value < NEAR_BOUND * span:
+                said.append(f"{name} is at its upper bound {high:g}")
+    return tuple(said)
 
 
 def at_values(coordinates: Coordinates, values: Any) -> Float[Array, " p"]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxir.scene import Scene
 
+UNLIKELY = 1e-3  # probability below which a model is said not to explain the data
 UNDETERMINED = 0.5  # standard deviation in natural steps (half an e-fold) from which a combination counts as unknown
 
 
@@ -39,6 +42,10 @@ class Uncertainty(eqx.Module):
     correlation: Float[Array, "p p"]
     singular_values: Float[Array, " p"]
     combinations: Float[Array, "p p"]
+
+    def open_directions(self) -> np.ndarray:
+        """The combinations that the data do not determine [direction, p]."""
+        return np.asarray(self.combinations, np.float64)[np.asarray(self.singular_values) * UNDETERMINED < 1]
 
     def undetermined(self) -> list[str]:
         """The combinations that the data do not determine, each as a sum of natural steps, worst last."""
@@ -114,6 +121,11 @@ class Fit(eqx.Module):
     Attributes:
         scene: with the fitted values.
         uncertainty: values, standard deviations, covariance, singular values, what is not determined.
+        reach: lowest and highest value of each parameter among fits as good as this one, found along the directions
+            that the data leave open; the value itself where there are none [2, p].
+        at_bounds: what is said of values at their bounds.
+        bands: of each measurement.
+        robust: residual from which the loss grows linearly; inf for squares.
         residual: (prediction - measured) / standard deviation of every measured number, one array per measurement
             [row, band].
         chi_squared: sum of squared residuals, priors included, without the robust loss [].
@@ -132,6 +144,10 @@ class Fit(eqx.Module):
 
     scene: Scene
     uncertainty: Uncertainty
+    reach: Float[Array, "2 p"]
+    at_bounds: tuple[str, ...] = eqx.field(static=True)
+    bands: tuple[tuple[str, ...], ...] = eqx.field(static=True)
+    robust: float = eqx.field(static=True)
     residual: tuple[Float[Array, "row band"], ...]
     chi_squared: Float[Array, ""]
     degrees_of_freedom: int = eqx.field(static=True)
@@ -149,18 +165,100 @@ class Fit(eqx.Module):
         """Whether the solver says it converged."""
         return bool(self.solver_result == optx.RESULTS.successful)
 
+    @property
+    def standard_deviation(self) -> np.ndarray:
+        """Of each value [p]: of the noise of the data, of the rays' own, and half its reach where data leave it open.
+
+        The root of the sum of the squares of the first two, or the last if it is larger; `inf` as in `Uncertainty`.
+        """
+        noise, rays = (np.asarray(x, np.float64) for x in (self.uncertainty.standard_deviation, self.sampling_error))
+        span = np.ptp(np.asarray(self.reach, np.float64), axis=0) / 2
+        return np.maximum(np.hypot(noise, rays), span)
+
+    @property
+    def probability(self) -> float:
+        """With which data of the stated noise would fit as badly or worse, if the model is right; nan without freedom.
+
+        Of a sum of squares of `degrees_of_freedom` normal residuals; the rays' own noise, which raises it, counts as
+        the model's.
+        """
+        from scipy.special import gammaincc  # takes as long to import as all of jaxir
+
+        freedom = self.degrees_of_freedom
+        return float(gammaincc(freedom / 2, float(self.chi_squared) / 2)) if freedom > 0 else math.nan
+
+    def worst(self, count: int = 3) -> list[tuple[float, str]]:
+        """The largest residuals in standard deviations, each with its place."""
+        found = [
+            (float(r[row, band]), f"measurement {k}, row {row}, {self.bands[k][band]}")
+            for k, r in enumerate(np.asarray(part) for part in self.residual)
+            for row, band in zip(*np.unravel_index(np.argsort(-np.abs(r), axis=None)[:count], r.shape), strict=True)
+        ]
+        return sorted(found, key=lambda one: -abs(one[0]))[:count]
+
     def __str__(self) -> str:
         """A table, the goodness of fit and every warning."""
-        shift = np.asarray(self.sampling_error)
         spread = np.asarray(self.uncertainty.standard_deviation)
-        ratio = float(np.max(np.where(np.isfinite(spread) & (spread > 0), shift / np.where(spread > 0, spread, 1), 0)))
-        lines = [
-            str(self.uncertainty),
-            f"chi-squared {float(self.chi_squared):.4g} for {self.degrees_of_freedom} degrees of freedom, "
-            f"of which {float(self.sampling_chi_squared):.2g} from the finite number of rays",
-            f"rays put at most {ratio:.2g} standard deviations into a value",
-            f"rays traced {self.rounds} times, {100 * float(self.effective_share):.0f} % of sampled directions count"
-            + ("; they suit the solution badly: allow more rounds" if self.drifted else ""),
-            f"solver: {'converged' if self.converged else optx.RESULTS[self.solver_result]} after {self.steps} steps",
+        return "\n".join(
+            [
+                self._table(),
+                *(f"not determined: {text}" for text in self.uncertainty.undetermined()),
+                *self._wide(),
+                *(f"{text}: its standard deviation does not count" for text in self.at_bounds),
+                *self._goodness(),
+                *self._of_rays(spread),
+                f"solver: {'converged' if self.converged else optx.RESULTS[self.solver_result]} after {self.steps} "
+                "steps",
+            ]
+        )
+
+    def _table(self) -> str:
+        labels, units = self.uncertainty.labels, self.uncertainty.units
+        width = max(len(label) for label in labels)
+        columns = (self.uncertainty.value, self.standard_deviation, self.uncertainty.standard_deviation)
+        rows = zip(labels, *(np.asarray(c) for c in columns), np.asarray(self.sampling_error), units, strict=True)
+        head = f"{'parameter':<{width}}  {'value':>12}  {'std. dev.':>10}  {'of noise':>10}  {'of rays':>10}  unit"
+        return "\n".join(
+            [head, *(f"{n:<{width}}  {v:12.6g}  {t:10.3g}  {s:10.3g}  {r:10.3g}  {u}" for n, v, t, s, r, u in rows)]
+        )
+
+    def _wide(self) -> list[str]:
+        """Values that are open although they look determined where the solver stopped."""
+        low, high = np.asarray(self.reach)
+        spread = np.asarray(self.uncertainty.standard_deviation)
+        wide = np.isfinite(spread) & (high - low > 4 * spread) & (high > low)
+        return [
+            f"not determined: {label} from {a:.4g} to {b:.4g} fits as well, with others that change along"
+            for label, a, b, so in zip(self.uncertainty.labels, low, high, wide, strict=True)
+            if so
         ]
-        return "\n".join(lines)
+
+    def _goodness(self) -> list[str]:
+        said = (
+            f"chi-squared {float(self.chi_squared):.4g} for {self.degrees_of_freedom} degrees of freedom, "
+            f"of which {float(self.sampling_chi_squared):.2g} from the finite number of rays"
+        )
+        p = self.probability
+        if not p < UNLIKELY:
+            return [said + ("" if math.isnan(p) else f": the data are explained (probability {p:.2g})")]
+        worst = self.worst()
+        lines = [
+            f"{said}: THE MODEL DOES NOT EXPLAIN THE DATA (probability {p:.2g}), so that standard deviations are "
+            "too small",
+            "largest residuals: " + "; ".join(f"{r:+.1f} standard deviations, {where}" for r, where in worst),
+        ]
+        every = np.concatenate([np.abs(np.asarray(part)).ravel() for part in self.residual])
+        if math.isinf(self.robust) and worst and abs(worst[0][0]) > 5 * max(np.median(every), 1):
+            lines.append("few data stand out: try robust=3, which lets outliers pull less")
+        return lines
+
+    def _of_rays(self, spread: np.ndarray) -> list[str]:
+        shift = np.asarray(self.sampling_error)
+        ratio = float(np.max(np.where(np.isfinite(spread) & (spread > 0), shift / np.where(spread > 0, spread, 1), 0)))
+        share = 100 * float(self.effective_share)
+        return [
+            f"rays put at most {ratio:.2g} standard deviations of the noise into a value"
+            + ("; give more samples or larger shapes" if ratio > 1 else ""),
+            f"rays traced {self.rounds} times, {share:.0f} % of sampled directions count"
+            + ("; they suit the solution badly: allow more rounds" if self.drifted else ""),
+        ]

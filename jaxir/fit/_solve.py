@@ -18,10 +18,11 @@ from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float
 from jaxir.fit._measurement import Measurement
-from jaxir.fit._parameter import AbstractParameter, Coordinates, at_values
+from jaxir.fit._parameter import AbstractParameter, Coordinates, at_bounds, at_values
 from jaxir.fit._prepare import prepare, retraced
 from jaxir.fit._prior import AbstractPrior
 from jaxir.fit._problem import Problem
+from jaxir.fit._profile import reach_of_open_directions
 from jaxir.fit._result import Fit, Uncertainty, uncertainty
 from jaxir.fit._surrogate import applies, lead
 from jaxir.fit._walk import linearised, reach
@@ -118,9 +119,16 @@ def solve(
     scene, values, slope = _placed(coordinates, end.z)
     seen = end.seen
     error = tuple((half[0] - half[1]) / 2 for half in seen.halves)
+    known = uncertainty(coordinates.labels, coordinates.units, values, slope, end.jacobian)
+    loose = known.open_directions()
+    reach_ = reach_of_open_directions(problem, end.z, loose) if len(loose) else np.stack([np.asarray(values)] * 2)
     return Fit(
         scene=scene,
-        uncertainty=uncertainty(coordinates.labels, coordinates.units, values, slope, end.jacobian),
+        uncertainty=known,
+        reach=as_float(reach_),
+        at_bounds=at_bounds(coordinates, values),
+        bands=tuple(o.measurement.nodes.names for o in problem.observations),
+        robust=float(problem.robust),
         residual=tuple(half.mean(axis=0) for half in seen.halves),
         chi_squared=jnp.sum(seen.residual * seen.residual),
         degrees_of_freedom=problem.data - coordinates.count,

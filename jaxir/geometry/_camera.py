@@ -256,7 +256,7 @@ def fitted_camera(
         distance: from the middle of the extent to the camera [m]; infinite by default.
 
     Returns:
-        The camera, aimed at the middle of the outline.
+        The camera, aimed at the middle of the extent, or from infinity at that of the outline.
     """
     return camera_around(view_frame(azimuth, elevation), extent, shape, distance)
 
@@ -274,8 +274,9 @@ def camera_around(
         return Camera(target, frame, inverse, jnp.ones_like(target[:2]), (rows, columns))
 
     seen = aimed(centre).project(extent)
-    target = centre + ((seen.max(axis=0) + seen.min(axis=0)) / 2) @ frame[:2]
-    camera = aimed(target)
-    half = jnp.max(jnp.abs(camera.project(extent)), axis=0)  # the eye moved along, so the outline is taken again
+    aside = ((seen.max(axis=0) + seen.min(axis=0)) / 2) @ frame[:2]
+    # an eye at a finite distance would move aside with its target
+    camera = aimed(centre + jnp.where(inverse > 0, 0, aside))
+    half = jnp.max(jnp.abs(camera.project(extent)), axis=0)
     half = jnp.maximum(half, 1e-6 * jnp.max(half))  # a plate seen edge-on still has an image
     return eqx.tree_at(lambda c: c.pixel, camera, half * 2.002 / as_float(np.array([columns, rows])))

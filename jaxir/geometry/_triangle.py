@@ -114,10 +114,7 @@ def corners_of(
 def unit_normal(corners: list[list[Array]]) -> list[Array]:
     """Unit normals of faces given by `corners_of`; 0 for a face without area."""
     a, b, c = corners
-    normal = _cross(_minus(b, a), _minus(c, a))
-    size = dot(normal, normal)
-    shrink = jnp.where(size > 0, lax.rsqrt(jnp.where(size > 0, size, 1)), 0)
-    return [x * shrink for x in normal]
+    return _unit(_cross(_minus(b, a), _minus(c, a)))
 
 
 def _record(
@@ -138,10 +135,19 @@ def _record(
     third = jnp.where(met, jnp.full_like(t, 1 / 3), 0)
     b1 = jnp.where(hit, dot(e2, moment) * inverse, third)
     b2 = jnp.where(hit, -dot(e1, moment) * inverse, third)
-    shrink = lax.rsqrt(jnp.where(solid, size, 1))
-    normal = [jnp.where(solid, x * shrink, 0) for x in n]
+    normal = [jnp.where(solid, x, 0) for x in _unit(n)]
     point = [x + t * y for x, y in zip(start, along, strict=True)]
     return jnp.where(met, t, jnp.inf), [jnp.where(met, 1 - b1 - b2, 0), b1, b2], point, normal
+
+
+def _unit(vector: list[Array]) -> list[Array]:
+    """Vectors of length 1 along vectors, or 0; first brought to about that size, as derivatives ask whose cube is."""
+    largest = jnp.maximum(jnp.maximum(jnp.abs(vector[0]), jnp.abs(vector[1])), jnp.abs(vector[2]))
+    there = largest > 4 * jnp.finfo(largest.dtype).tiny
+    grow = lax.stop_gradient(1 / jnp.where(there, largest, 1))
+    near = [jnp.where(there, x, 0) * grow for x in vector]
+    shrink = lax.rsqrt(jnp.where(there, dot(near, near), 1))
+    return [x * shrink for x in near]
 
 
 def _minus(a: list[Array], b: list[Array]) -> list[Array]:

@@ -1,5 +1,6 @@
 """Entries: radiance image with standard error, radiant intensity, signature over aspects."""
 
+from jaxir.imaging._budget import ErrorBudget as ErrorBudget
 from jaxir.imaging._chunks import Pass as Pass
 from jaxir.imaging._chunks import estimate_chunk as estimate_chunk
 from jaxir.imaging._chunks import first_pass as first_pass

@@ -16,9 +16,9 @@ from jaxir._arrays import Check, enforce, on_host, placed
 from jaxir.geometry import TILE, Camera, pixel_strata, stratum_points, tile_rays
 from jaxir.geometry.search import may_see
 from jaxir.imaging._image import Image, image_of
-from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Lit, Scene, on_nodes
-from jaxir.transport import Method, evaluate_orders, trace
+from jaxir.optics.spectrum import Band, Nodes
+from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
+from jaxir.transport import Method, evaluate_orders, share_outside, trace
 
 TILES = 64  # of a chunk at most
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in the cache
@@ -118,7 +118,7 @@ def first_pass(
     parts: int = PARTS,
 ) -> Pass:
     """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
-    strata, nodes = pixel_strata(samples), as_nodes(bands)
+    strata, nodes = pixel_strata(samples), scene_nodes(scene, bands)
     nodes = enforce(nodes, [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene)])
     lit, reach = _prepared(scene, nodes, camera)
     return Pass(enforce(lit, [eye_outside(reach)]), camera, key, as_number(0), strata, method.resolved(scene), parts)
@@ -146,7 +146,8 @@ def whole_image(taken: Pass, parts: Estimate) -> Image:
         orders = _untile(camera, parts.orders.reshape((*parts.orders.shape[:3], -1)))
         orders = orders.reshape((*orders.shape[:2], 2, -1))
     samples = 2 * taken.strata[0] * taken.strata[1]
-    return image_of(camera, taken.lit.nodes.names, mean, variance, empty, samples, orders)
+    nodes, outside = taken.lit.nodes, share_outside(taken.lit, camera)
+    return image_of(camera, nodes.names, mean, variance, empty, samples, orders, nodes.error, outside)
 
 
 def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:

@@ -7,36 +7,45 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import enforce
+from jaxir._arrays import enforce, known
 from jaxir.geometry import view_frame
-from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Scene, on_nodes
+from jaxir.geometry.search import is_convex
+from jaxir.optics.spectrum import Band, Nodes
+from jaxir.scene import Scene, on_nodes, scene_nodes
 from jaxir.transport import unoccluded_radiance
 
 
 def unoccluded_intensity(
-    scene: Scene, azimuth: Any, elevation: Any, bands: Nodes | Band | Sequence[Band]
+    scene: Scene,
+    azimuth: Any,
+    elevation: Any,
+    bands: Nodes | Band | Sequence[Band],
+    *,
+    upper_bound: bool = False,
 ) -> Float[Array, " band"]:
     """Radiant intensity of skin whose faces do not hide or shade one another: a sum over faces, no rays.
 
         I = sum_f A_f max(n_f . o, 0) L_f(o)
 
-    Exact for convex bodies and for open surfaces seen from outside; an upper bound otherwise. Backs of faces do not
-    count.
+    Exact for convex bodies and for plane surfaces; an upper bound otherwise, refused unless asked for. Backs of faces
+    do not count.
 
     Args:
         scene: skin, with sources and air if present; no plume. The background is not subtracted.
         azimuth: aspect [deg], see `view_frame`.
         elevation: likewise [deg].
         bands: bands or nodes.
+        upper_bound: whether skin is allowed whose faces may hide or shade one another.
 
     Returns:
         Radiant intensity [band] [W sr-1], through the atmosphere's transmittance if there is one.
 
     Raises:
-        ValueError: the scene has a plume or no skin, or values are out of range.
+        ValueError: the scene has a plume or no skin, skin that is neither convex nor plane, or values are out of
+            range.
 
     Differentiable in every radiometric leaf, in the vertices, and in the aspect.
     """
@@ -44,7 +53,14 @@ def unoccluded_intensity(
         raise ValueError("scene: got a plume or no skin, expected skin alone; use render or signature for plumes")
     if scene.area_sources or any(source.travel is None for source in scene.delta_sources):
         raise ValueError("scene: got sources at a finite distance, expected parallel ones; use render or signature")
-    nodes = as_nodes(bands)
+    vertices = known(scene.skin.mesh.vertices)
+    if not upper_bound and vertices is not None and vertices.ndim == 2:
+        if not is_convex(vertices, np.asarray(scene.skin.mesh.faces)):
+            raise ValueError(
+                "scene.skin: got faces that may hide one another, expected a convex body or a plane surface; use "
+                "render or signature, or upper_bound=True"
+            )
+    nodes = scene_nodes(scene, bands)
     return _summed(scene, enforce(nodes, scene.checks_on(nodes)), view_frame(azimuth, elevation))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxir._math import safe_sqrt
 from jaxir.geometry import Camera
+from jaxir.imaging._budget import ErrorBudget, budget
 
 
 class Outcome(eqx.Enumeration):
@@ -33,6 +36,8 @@ class Image(eqx.Module):
         outcome: why no more were taken, an item of `Outcome`.
         orders: what the last two orders of scattering brought of the radiant intensity, the last first [2, band]
             [W sr-1]; None without particles.
+        spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
+        outside: share of the scene's intensity beyond the frame, roughly [band], see `share_outside`; None unknown.
     """
 
     radiance: Float[Array, "row column band"]
@@ -43,6 +48,8 @@ class Image(eqx.Module):
     samples: Int[Array, ""]
     outcome: Outcome
     orders: Float[Array, "2 band"] | None = None
+    spectral: Float[Array, " band"] | None = None
+    outside: Float[Array, " band"] | None = None
 
     @eqx.filter_jit
     def radiant_intensity(self) -> Float[Array, " band"]:
@@ -63,6 +70,11 @@ class Image(eqx.Module):
         area = self.camera.pixel_area()
         variance = jnp.sum((self.standard_error * area[:, :, None]) ** 2, axis=(0, 1))
         return safe_sqrt(variance)
+
+    def error_budget(self) -> ErrorBudget:
+        """The radiant intensity with all that is known of its error."""
+        intensity = self.radiant_intensity()
+        return budget(intensity, self.intensity_error(), self.spectral, self.truncation, self.outside, self.bands)
 
     @property
     @eqx.filter_jit
@@ -96,12 +108,16 @@ def image_of(
     empty: Float[Array, "_row _column band"],
     samples: int,
     orders: Float[Array, "row column 2 band"] | None,
+    spectral: Float[Array, " band"] | None,
+    outside: Float[Array, " band"],
 ) -> Image:
     """The image of one pass of `samples` rays per pixel; `orders` are those of each pixel's radiance."""
     area = camera.pixel_area()[:, :, None, None]
     whole = None if orders is None else jnp.sum(orders * area, axis=(0, 1))
     taken = jnp.asarray(samples, jnp.int32)
-    return Image(mean, safe_sqrt(variance), empty, camera, bands, taken, Outcome.samples_taken, whole)  # type: ignore
+    error = safe_sqrt(variance)
+    outcome: Any = Outcome.samples_taken  # an enumeration, which types do not know
+    return Image(mean, error, empty, camera, bands, taken, outcome, whole, spectral, outside)
 
 
 def meets(image: Image, rtol: float) -> bool:
@@ -119,4 +135,5 @@ def joined(image: Image, more: Image) -> Image:
         (image.radiance, image.empty, image.orders),
         (more.radiance, more.empty, more.orders),
     )
-    return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders)
+    about = image.spectral, image.outside
+    return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders, *about)

@@ -300,6 +300,7 @@ def _pixels(chosen: _Choice, rtol: float, most: int) -> Term:
     goal = f"instead of {rtol:.2g}" if short else f"{chosen.expected:.2g} of the {rtol:.2g} asked"
     sentence = (
         f"{chosen.samples} rays each, two in each of {chosen.samples // 2} strata, {reached} {goal} in about "
-        f"{chosen.seconds:.2g} s, for which {float_dtype()} suffices"
+        f"{chosen.seconds:.2g} s (and {chosen.trial.pilot.compile_seconds:.2g} s to compile, once), for which "
+        f"{float_dtype()} suffices"
     )
     return Term("Pixels", False, sentence)

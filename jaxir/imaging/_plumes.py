@@ -14,8 +14,8 @@ from jaxtyping import Array, Float
 from jaxir._arrays import as_float, enforce
 from jaxir._fields import require_count
 from jaxir.geometry import Rays, view_frame
-from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Scene, on_nodes
+from jaxir.optics.spectrum import Band, Nodes
+from jaxir.scene import Scene, on_nodes, scene_nodes
 
 GOLDEN = (math.sqrt(5) - 1) / 2
 
@@ -50,7 +50,7 @@ def plume_intensity(
     if scene.skin is not None or scene.scatters:
         raise ValueError("scene: got skin or particles, expected plumes of gas alone")
     require_count("rays", rays)
-    nodes = as_nodes(bands)
+    nodes = scene_nodes(scene, bands)
     return _integrated(scene, enforce(nodes, scene.checks_on(nodes)), view_frame(azimuth, elevation), rays)
 
 

@@ -15,10 +15,11 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import as_float, enforce, key_or_default
 from jaxir.geometry import Camera, fitted_camera, pixel_strata, view_checks
+from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_eye, whole_image
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Lit, Scene, on_nodes
+from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
 from jaxir.transport import Method, graded_cameras
 
 
@@ -33,6 +34,7 @@ class Signature(eqx.Module):
         bands: band names.
         truncation: estimated share of `intensity` that orders of scattering beyond the last would add, see
             `Image.truncation` [view, band].
+        spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
     """
 
     azimuth: Float[Array, " view"]
@@ -41,6 +43,11 @@ class Signature(eqx.Module):
     standard_error: Float[Array, "view band"]
     bands: tuple[str, ...] = eqx.field(static=True)
     truncation: Float[Array, "view band"]
+    spectral: Float[Array, " band"] | None = None
+
+    def error_budget(self) -> ErrorBudget:
+        """The intensities with all that is known of their errors; every view holds the whole scene."""
+        return budget(self.intensity, self.standard_error, self.spectral, self.truncation, None, self.bands)
 
 
 class Views(NamedTuple):
@@ -119,7 +126,8 @@ def whole_table(views: Views, found: tuple[Array, Array, Array]) -> Signature:
     """The table of what `view_intensity` found in all views."""
     intensity, error, truncation = found
     azimuth, elevation = views.aspect.T
-    return Signature(azimuth, elevation, intensity, error, views.lit.nodes.names, truncation)
+    nodes = views.lit.nodes
+    return Signature(azimuth, elevation, intensity, error, nodes.names, truncation, nodes.error)
 
 
 def prepare_views(
@@ -134,7 +142,7 @@ def prepare_views(
     method: Method,
 ) -> Views:
     """Check what `signature` is asked and make it ready; arguments and errors as there."""
-    aspect, nodes, away = _checked(scene, views, bands, distance, method)
+    aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, method)
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach)])
     return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method.resolved(scene), aspect)
@@ -161,7 +169,7 @@ def _checked(
     scene: Scene, views: Any, bands: Nodes | Band | Sequence[Band], distance: Any, method: Method
 ) -> tuple[Array, Nodes, Array]:
     """Aspects, nodes and the distance, once all values are in range."""
-    aspect, nodes = as_float(views, "views"), as_nodes(bands)
+    aspect, nodes = as_float(views, "views"), as_nodes(bands)  # range checks need no more
     if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     checks = [*scene.checks_on(nodes), *view_checks(aspect), *method.checks_for(scene)]

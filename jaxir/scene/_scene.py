@@ -10,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check
+from jaxir._fields import by_band
 from jaxir._math import radius_about
 from jaxir.geometry import Camera, Rays
 from jaxir.geometry.search import MARGIN, WIDTH, clear_of, outline
@@ -85,6 +86,12 @@ class Scene(eqx.Module):
     def scatters(self) -> bool:
         """Whether there are particles in a plume."""
         return any(plume.scatters for plume in self.plumes)
+
+    @property
+    def has_spectrum(self) -> bool:
+        """Whether plumes or air depend on the wavenumber inside a band, so that a band needs more than one node."""
+        parts = (*self.plumes, *self.sources, self.background, self.atmosphere)
+        return any(part.has_spectrum for part in parts if part is not None)
 
     @property
     def delta_sources(self) -> tuple[AbstractDeltaSource, ...]:
@@ -164,7 +171,8 @@ class Scene(eqx.Module):
 
     def checks_on(self, nodes: Nodes) -> list[Check]:
         """`checks`, and what the parts ask of the spectral nodes."""
-        parts = (*self.plumes, *self.sources, self.background, self.atmosphere)
+        brdf = None if self.skin is None else self.skin.brdf
+        parts = (brdf, *self.plumes, *self.sources, self.background, self.atmosphere)
         return [*self.checks(), *(check for part in parts if part is not None for check in part.node_checks(nodes))]
 
 
@@ -269,6 +277,7 @@ def on_nodes(scene: Scene, nodes: Nodes) -> Lit:
     Raises:
         ValueError: a part has neither one spectral value nor one for each node.
     """
+    scene = _by_band(scene, nodes)
     sources = tuple(source.on(nodes) for source in scene.sources)
     background = None if scene.background is None else scene.background.on(nodes)
     plume, skin, air = scene.plume, scene.skin, scene.atmosphere
@@ -287,6 +296,19 @@ def on_nodes(scene: Scene, nodes: Nodes) -> Lit:
         air=None if air is None else air.on(nodes),
         beams=tuple(_at_points(own, medium, source) for source in own.summed_beams),
     )
+
+
+def _by_band(scene: Scene, nodes: Nodes) -> Scene:
+    """The scene with what is given for bands spread over their nodes, see `by_band`."""
+
+    def spread(part: Any) -> Any:
+        return None if part is None else by_band(part, nodes)
+
+    skin = scene.skin
+    if skin is not None:
+        skin = eqx.tree_at(lambda s: s.brdf, skin, spread(skin.brdf))
+    plumes, sources = (tuple(spread(part) for part in parts) for parts in (scene.plumes, scene.sources))
+    return Scene(skin, plumes, sources, spread(scene.background), spread(scene.atmosphere))
 
 
 def _at_points(scene: Scene, medium: AbstractMedium | None, source: AbstractDeltaSource) -> Float[Array, "point node"]:

@@ -2,6 +2,7 @@
 
 from jaxir.transport._brightness import brightness as brightness
 from jaxir.transport._brightness import graded_cameras as graded_cameras
+from jaxir.transport._brightness import share_outside as share_outside
 from jaxir.transport._direct import mis_weight as mis_weight
 from jaxir.transport._estimators import AbstractPathEstimator as AbstractPathEstimator
 from jaxir.transport._estimators import CellSum as CellSum

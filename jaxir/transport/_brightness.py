@@ -7,7 +7,7 @@ this, because they only place rays.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,8 +22,18 @@ from jaxir.geometry.search import face_normal
 from jaxir.scene import Lit
 
 
-def brightness(lit: Lit) -> Brightness:
-    """Where a scene is bright, each band's intensity normalised and the bands averaged; without derivatives."""
+class _Shining(NamedTuple):
+    """What shines: faces with their radiance [face, band], capsules with their intensity [capsule, band]."""
+
+    corners: Float[Array, "face 3 3"]
+    radiance: Float[Array, "face band"]
+    ends: Float[Array, "capsule 2 3"]
+    radius: Float[Array, " capsule"]
+    intensity: Float[Array, "capsule band"]
+
+
+def _shining(lit: Lit) -> _Shining:
+    """Without derivatives."""
     lit = lax.stop_gradient(lit)
     dtype, bands = lit.nodes.weight.dtype, lit.nodes.response.shape[0]
     corners, radiance = jnp.zeros((0, 3, 3), dtype), jnp.zeros((0, bands), dtype)
@@ -35,10 +45,41 @@ def brightness(lit: Lit) -> Brightness:
     if lit.medium is not None:
         ends, radius, emitted = lit.medium.capsules()
         intensity = lit.nodes.in_band(emitted)
+    return _Shining(corners, radiance, ends, radius, intensity)
+
+
+def brightness(lit: Lit) -> Brightness:
+    """Where a scene is bright, each band's intensity normalised and the bands averaged; without derivatives."""
+    corners, radiance, ends, radius, intensity = _shining(lit)
     area = jnp.linalg.norm(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     total = jnp.sum(radiance * area[:, None], axis=0) / 8 + jnp.sum(intensity, axis=0)  # faces are seen by a quarter
-    share = 1 / jnp.where(total > 0, total, 1) / bands
+    share = 1 / jnp.where(total > 0, total, 1) / radiance.shape[1]
     return Brightness(corners, radiance @ share, ends, radius, intensity @ share)
+
+
+def share_outside(lit: Lit, camera: Camera) -> Float[Array, " band"]:
+    """About the share of a scene's intensity that a camera's frame leaves out [band]; without derivatives.
+
+    Of every face that looks at the eye four points are projected, its centre and the points half way to the corners,
+    of every capsule of a plume its middle and points towards the ends. Nothing hides anything.
+    """
+    corners, radiance, ends, _, intensity = _shining(lit)
+    camera = lax.stop_gradient(camera)
+    half = jnp.stack([camera.shape[1] * camera.pixel[0], camera.shape[0] * camera.pixel[1]]) / 2 * (1 + 1e-3)
+
+    def beyond(point: Float[Array, "part point 3"]) -> Float[Array, " part"]:
+        out = jnp.any(jnp.abs(camera.project(point)) > half[None, None], axis=-1)
+        return jnp.mean(out.astype(point.dtype), axis=-1)
+
+    vector = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    centre = corners.mean(axis=1, keepdims=True)
+    seen = jnp.maximum(vector @ camera.frame[2], 0)[:, None] * radiance
+    of_faces = beyond(jnp.concatenate([centre, (corners + centre) / 2], axis=1))
+    along = jnp.asarray([0.1, 0.3, 0.5, 0.7, 0.9], ends.dtype)[None, :, None]
+    of_capsules = beyond(ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]))
+    total = jnp.sum(seen, axis=0) + jnp.sum(intensity, axis=0)
+    left_out = of_faces @ seen + of_capsules @ intensity
+    return left_out / jnp.where(total > 0, total, 1)
 
 
 @eqx.filter_jit

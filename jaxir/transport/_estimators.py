@@ -225,7 +225,7 @@ def _sampled(lists, extinction, emission, behind, u, contribution):
     x = -jnp.log1p(-u)[None, :, None]
     held = lax.stop_gradient(mu)
     own, own_held = mu * length, held * length
-    before = jnp.cumsum(own, axis=0) - own
+    before = _sum_before(own)
     start = lax.stop_gradient(before)
     come = jnp.clip(x - start, 0, own_held)
     absorbed = (x >= start) & (x - start < own_held)
@@ -237,11 +237,17 @@ def _sampled(lists, extinction, emission, behind, u, contribution):
     return jnp.sum(contribution(sample), axis=0) + jnp.where(through, jnp.exp(total - depth) * behind, 0)
 
 
+def _sum_before(layers: Float[Array, "layer ray node"]) -> Float[Array, "layer ray node"]:
+    """Sum of the layers in front of each; not the sum up to it less its own, which an opaque layer would swallow."""
+    sums = jnp.cumsum(layers, axis=0)
+    return jnp.concatenate([jnp.zeros_like(sums[:1]), sums[:-1]])
+
+
 def _variance(lists, extinction, emission, behind, own):
     """Far to near: V <- exp(-u) V + own(layer), a sum of positive terms, so nothing cancels."""
     mu, j, length = _on_ray(lists, extinction, emission)
     u = mu * length
-    before = jnp.cumsum(u, axis=0) - u
+    before = _sum_before(u)
 
     def step(carry, cell):
         radiance, variance = carry

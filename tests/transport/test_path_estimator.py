@@ -190,3 +190,17 @@ def test_an_estimator_lies_behind_the_air_and_in_front_of_skin():
     error = off.std() / np.sqrt(off.size)
     assert 0 < error < 0.01 * exact.mean()
     assert abs(off.mean()) < 4 * error
+
+
+@pytest.mark.parametrize("kind", ["PointIntegration", "LineIntegration", "CombinedIntegration"])
+def test_an_opaque_cell_behind_a_thin_one_does_not_swallow_it(kind):
+    # the sum up to a cell of depth 1e7 less its own is 0 in float32, not the .5 in front of it
+    grid = jaxir.Grid((0.0, -0.5, -0.5), (1.0, 1.0, 1.0), (2, 1, 1))
+    extinction = jnp.asarray([0.5, 1e7]).reshape(2, 1, 1, 1)
+    plume = jaxir.GridPlume(grid, jnp.asarray([900.0, 700.0]).reshape(2, 1, 1), jaxir.GrayGas(extinction))
+    scene, key = jaxir.Scene(None, plume), jax.random.key(0)
+    rays = jaxir.Rays(jnp.tile(jnp.asarray([[-1.0, 0, 0]]), (4096, 1)), jnp.tile(jnp.asarray([[1.0, 0, 0]]), (4096, 1)))
+    lit, paths = scene.on(gray_nodes((jaxir.MWIR,))), jaxir.trace(scene, rays, jaxir.Method(), key)
+    exact = float(jaxir.estimate(lit, paths, jaxir.CellSum(), key).mean())
+    found = np.asarray(jaxir.estimate(lit, paths, getattr(jaxir, kind)(), key), np.float64)
+    assert abs(found.mean() - exact) < 4 * found.std() / 64 + 1e-4 * exact

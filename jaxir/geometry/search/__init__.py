@@ -14,6 +14,7 @@ from jaxir.geometry.search._shadow import occluded as occluded
 from jaxir.geometry.search._shadow import occluded_from as occluded_from
 from jaxir.geometry.search._shadow import orthonormal as orthonormal
 from jaxir.geometry.search._topology import is_closed as is_closed
+from jaxir.geometry.search._topology import is_convex as is_convex
 from jaxir.geometry.search._tree import WIDTH as WIDTH
 from jaxir.geometry.search._tree import build as build
 from jaxir.geometry.search._visible import visible_faces as visible_faces

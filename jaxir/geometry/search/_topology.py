@@ -48,6 +48,34 @@ def is_closed(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> boo
     return bool(np.all(part_volume[used] > 1e-6 * part_area[used] ** 1.5))
 
 
+def is_convex(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> bool:
+    """Whether no vertex rises over the plane of any face, but by rounding; of faces turned both ways none may.
+
+    Then no face hides or shades the front of another. Looks at every face and the vertices of the convex hull alone.
+
+    Args:
+        vertices: [vertex, 3] [m].
+        faces: [face, 3].
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    points = vertices.astype(np.float64)[np.unique(faces)]
+    p = vertices.astype(np.float64)[faces]
+    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    solid = size > 0
+    normal = normal[solid] / size[solid][:, None]
+    try:
+        points = points[ConvexHull(points).vertices]
+    except QhullError:  # flat: few points suffice
+        extremes = [f(points @ axis) for axis in np.vstack([np.eye(3), normal[:8]]) for f in (np.argmin, np.argmax)]
+        points = points[np.unique(extremes)]
+    own = np.einsum("fk,fk->f", normal, p[solid][:, 0])
+    grain = 64 * np.finfo(vertices.dtype).eps * np.abs(points).max()
+    rise = [(normal @ some.T).max(axis=1) for some in np.array_split(points, -(-len(points) // 256))]
+    return bool((np.max(rise, axis=0) - own <= grain).all())
+
+
 def _merge(vertices: NDArray[np.floating]) -> NDArray[np.integer]:
     """A label for each vertex, equal where all coordinates are equal."""
     order = np.lexsort(vertices.T)

@@ -49,7 +49,7 @@ def read_obj(file: Path) -> FileMesh:
                         raise ValueError("fewer than three coordinates")
                 elif words[0] == "f":
                     corner = [_index(word, len(vertices)) for word in words[1:]]
-                    if len({word.count("/") for word in words[1:]}) > 1:
+                    if len({"/" in word for word in words[1:]}) > 1:
                         raise ValueError("expected corners of one form")
                     if len(corner) < 3:
                         raise ValueError("fewer than three corners")

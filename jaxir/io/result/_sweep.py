@@ -29,7 +29,7 @@ from jaxir.imaging import (
 )
 from jaxir.io._array_files import load_arrays
 from jaxir.io._files import read_text, remove_parts, written_whole
-from jaxir.optics.spectrum import Band, Nodes, as_nodes
+from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
 from jaxir.transport import Method
 
@@ -92,7 +92,7 @@ def sweep(
     mesh = shared_by(devices, asked.aspect.shape[0], "views")
     conditions = _conditions(
         scene=scene,
-        bands=as_nodes(bands),
+        bands=asked.lit.nodes,
         distance=as_float(distance),
         pixels=(shape, samples),
         method=asked.method,

@@ -53,7 +53,7 @@ from jaxir.io.scene_file._vocabulary import (
     band_list,
     k_nodes,
 )
-from jaxir.optics.spectrum import Nodes, gray_nodes, resolved_nodes
+from jaxir.optics.spectrum import Band, Nodes, as_nodes, gray_nodes, resolved_nodes
 from jaxir.scene import Scene, Skin
 from jaxir.scene.plume import AbstractPlume, GridPlume, resolve_jet
 from jaxir.transport import Method
@@ -65,7 +65,7 @@ class SceneFile(NamedTuple):
     Attributes:
         file: the file.
         scene: the scene.
-        bands: spectral nodes.
+        bands: bands, or spectral nodes.
         cameras: by name.
         method: how light is found; None for the default.
         render: other parameters of `jaxir.render`.
@@ -75,12 +75,17 @@ class SceneFile(NamedTuple):
 
     file: Path
     scene: Scene
-    bands: Nodes
+    bands: Nodes | tuple[Band, ...]
     cameras: dict[str, Camera]
     method: Method | None
     render: dict[str, Any]
     signature: dict[str, Any]
     notes: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the bands."""
+        return self.bands.names if isinstance(self.bands, Nodes) else tuple(band.name for band in self.bands)
 
     def describe(self) -> str:
         """What the file says, a line for each part."""
@@ -90,7 +95,9 @@ class SceneFile(NamedTuple):
         lines += [f"source: {type(source).__name__}" for source in scene.sources]
         for name, part in (("background", scene.background), ("atmosphere", scene.atmosphere)):
             lines.append(f"{name}: {'none' if part is None else type(part).__name__}")
-        lines.append(f"bands: {', '.join(self.bands.names)} on {self.bands.count} nodes")
+        chosen = scene.has_spectrum and not isinstance(self.bands, Nodes)
+        nodes = "as many nodes as gas and air need" if chosen else f"{as_nodes(self.bands).count} nodes"
+        lines.append(f"bands: {', '.join(self.names)} on {nodes}")
         for name, camera in self.cameras.items():
             rows, columns = camera.shape
             width, height = (float(size) for size in camera.pixel)
@@ -186,9 +193,9 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
     )
 
 
-def _bands(entry: Entry) -> Nodes:
+def _bands(entry: Entry) -> Nodes | tuple[Band, ...]:
     if isinstance(entry.value, list):
-        return gray_nodes(band_list(entry))
+        return tuple(band_list(entry))
     return build(entry, {"resolved_nodes": resolved_nodes, "gray_nodes": gray_nodes, "k_nodes": k_nodes}, READERS)
 
 
@@ -210,7 +217,9 @@ def _plume(entry: Entry) -> tuple[AbstractPlume, tuple[str, ...]]:
     return construct(gridded, GridPlume, READERS, grid=flow.grid), notes
 
 
-def _resolved(entry: Entry, plumes: tuple[AbstractPlume, ...], bands: Nodes) -> tuple[AbstractPlume, ...]:
+def _resolved(
+    entry: Entry, plumes: tuple[AbstractPlume, ...], bands: Nodes | tuple[Band, ...]
+) -> tuple[AbstractPlume, ...]:
     """The plumes, with jets integrated to a tolerance."""
     if not any(plume.parametric for plume in plumes):
         raise entry.wrong("it only beside a plume of type JetPlume")

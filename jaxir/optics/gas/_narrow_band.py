@@ -77,9 +77,14 @@ class NarrowBandGas(AbstractGas):
         if self.h2o is None and self.co2 is None and self.co is None:
             raise ValueError("NarrowBandGas: got no species, expected a mole fraction for h2o, co2 or co")
 
+    @property
+    def has_spectrum(self) -> bool:
+        """See `Physical.has_spectrum`."""
+        return True
+
     def node_checks(self, nodes: Nodes) -> list[Check]:
         """See `Physical.node_checks`: bins lie above 800 cm-1."""
-        return [bins_inside("NarrowBandGas", nodes, HOT_GAS_EDGES, transparent_above=True)]
+        return bins_inside("NarrowBandGas", nodes, HOT_GAS_EDGES, transparent_above=True)
 
     def absorption(self, nodes: Nodes, temperature: Float[Array, "*cell"]) -> Float[Array, "*cell node"]:
         """See `AbstractGas.absorption`.

@@ -13,13 +13,16 @@ from tqdm import tqdm
 
 from jaxir.optics.particle._tabulated import ParticleTable
 
+ANGLES = 361  # of a phase function at least
+PER_SIZE = 6  # angles for each unit of the size parameter
+
 
 def mie_table(
     diameter: float,
     index: Any,
     wavelength: Any = None,
     spread: float = 0.0,
-    angles: int = 361,
+    angles: int | None = None,
     sizes: int = 24,
     progress: bool = False,
 ) -> ParticleTable:
@@ -30,7 +33,8 @@ def mie_table(
         index: refractive index n - ik, one number or one per wavelength [sample].
         wavelength: increasing, at least two [sample] [um]; without it 121 in equal ratios from 1 to 12.5 um.
         spread: standard deviation of ln diameter; 0 gives equal spheres, whose spectrum ripples.
-        angles: samples of the scattering angle in equal steps.
+        angles: samples of the scattering angle in equal steps; by default `ANGLES`, or six for each unit of the
+            largest size parameter pi diameter / wavelength, whose diffraction peak is as wide as its inverse.
         sizes: Gauss-Hermite points of the lognormal distribution.
         progress: show a bar.
 
@@ -55,12 +59,15 @@ def mie_table(
         raise ValueError("index: expected n - ik with n > 0 and k >= 0")
     if not (math.isfinite(diameter) and diameter > 0 and math.isfinite(spread) and spread >= 0):
         raise ValueError(f"diameter, spread: got {diameter}, {spread}, expected diameter > 0 and spread >= 0")
-    if angles < 3 or sizes < 1:
+    if (angles is not None and angles < 3) or sizes < 1:
         raise ValueError(f"angles, sizes: got {angles}, {sizes}, expected at least 3 and 1")
 
     z, share = np.polynomial.hermite_e.hermegauss(sizes if spread > 0 else 1)
     diameters, share = diameter * np.exp(spread * z), share / share.sum()
     refraction = np.broadcast_to(refraction, given.shape)
+    if angles is None:
+        largest = np.pi * diameters.max() / given[0]
+        angles = int(max(ANGLES, 2 * math.ceil(PER_SIZE * largest / 2) + 1))
     cosine = np.cos(np.linspace(np.pi, 0, angles))
     extinction, scattering = np.zeros((2, given.size))
     phase = np.zeros((given.size, angles))

@@ -80,6 +80,11 @@ class Particles(AbstractParticles):
     number_density: Float[Array, "*cell"] = quantity("m-3", ("*cell",), non_negative)
     table: ParticleTable
 
+    @property
+    def has_spectrum(self) -> bool:
+        """See `Physical.has_spectrum`."""
+        return True
+
     def doubts(self) -> list[Check]:
         """Particles are some in a cubic metre and do not fill a hundredth of it."""
         name, number = "Particles.number_density", self.number_density
@@ -89,7 +94,7 @@ class Particles(AbstractParticles):
 
     def node_checks(self, nodes: Nodes) -> list[Check]:
         """See `Physical.node_checks`: bins lie within the table."""
-        return [bins_inside("Particles", nodes, self.table.wavenumber)]
+        return bins_inside("Particles", nodes, self.table.wavenumber)
 
     def optics(self, nodes: Nodes) -> ParticleOptics:
         """See `AbstractParticles.optics`. Bins must lie within the table.

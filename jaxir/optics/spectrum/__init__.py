@@ -11,9 +11,11 @@ from jaxir.optics.spectrum._band import bin_edges as bin_edges
 from jaxir.optics.spectrum._band import bins_inside as bins_inside
 from jaxir.optics.spectrum._band import build_nodes as build_nodes
 from jaxir.optics.spectrum._band import gray_nodes as gray_nodes
+from jaxir.optics.spectrum._band import padded_nodes as padded_nodes
 from jaxir.optics.spectrum._band import quantile_index as quantile_index
 from jaxir.optics.spectrum._band import sensor_band as sensor_band
 from jaxir.optics.spectrum._band import wavelength_to_wavenumber as wavelength_to_wavenumber
+from jaxir.optics.spectrum._band import with_error as with_error
 from jaxir.optics.spectrum._planck import FIRST_RADIATION as FIRST_RADIATION
 from jaxir.optics.spectrum._planck import STEFAN as STEFAN
 from jaxir.optics.spectrum._planck import band_radiance as band_radiance
@@ -21,6 +23,7 @@ from jaxir.optics.spectrum._planck import blackbody_fraction as blackbody_fracti
 from jaxir.optics.spectrum._planck import brightness_temperature as brightness_temperature
 from jaxir.optics.spectrum._planck import spectral_radiance as spectral_radiance
 from jaxir.optics.spectrum._planck import spectral_radiance_wavelength as spectral_radiance_wavelength
+from jaxir.optics.spectrum._resolve import RESOLUTIONS as RESOLUTIONS
 from jaxir.optics.spectrum._resolve import Resolution as Resolution
 from jaxir.optics.spectrum._resolve import nodes_for as nodes_for
 from jaxir.optics.spectrum._resolve import quantiles as quantiles

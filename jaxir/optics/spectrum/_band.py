@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -113,6 +114,8 @@ class Nodes(eqx.Module):
         weight: quadrature weight of the node inside its bin [node]; sums to 1 over a bin.
         response: sensor response of each band at each node [band, node]; 0 outside the band.
         names: band labels.
+        error: relative error that the nodes leave in the bands of the scene for which they were chosen, estimated
+            [band]; None where they were not chosen for one.
     """
 
     lower: Float[Array, " node"]
@@ -122,6 +125,7 @@ class Nodes(eqx.Module):
     weight: Float[Array, " node"]
     response: Float[Array, "band node"]
     names: tuple[str, ...] = eqx.field(static=True)
+    error: Float[Array, " band"] | None = None
 
     @property
     def count(self) -> int:
@@ -199,6 +203,31 @@ def gray_nodes(bands: Sequence[Band]) -> Nodes:
     )
 
 
+def with_error(nodes: Nodes, error: np.ndarray) -> Nodes:
+    """The same nodes with another `Nodes.error`."""
+    value = jax.device_put(error.astype(nodes.weight.dtype))
+    return eqx.tree_at(lambda n: n.error, nodes, value, is_leaf=lambda leaf: leaf is None)
+
+
+def padded_nodes(nodes: Nodes, count: int) -> Nodes:
+    """The same nodes and copies of the last with weight 0, `count` together: one program serves several axes."""
+    more = count - nodes.count
+
+    def pad(leaf: Array, axis: int = 0) -> Array:
+        widths = [(0, more if k == axis % leaf.ndim else 0) for k in range(leaf.ndim)]
+        return jax.device_put(np.pad(np.asarray(leaf), widths, mode="edge"))
+
+    return Nodes(
+        lower=pad(nodes.lower),
+        upper=pad(nodes.upper),
+        edge=pad(nodes.edge),
+        g=pad(nodes.g),
+        weight=jax.device_put(np.pad(np.asarray(nodes.weight), (0, more))),
+        response=pad(nodes.response, -1),
+        names=nodes.names,
+    )
+
+
 def as_nodes(bands: Nodes | Band | Sequence[Band]) -> Nodes:
     """`bands` as nodes: `Nodes` pass through, bands become gray nodes."""
     if isinstance(bands, Nodes):
@@ -215,10 +244,11 @@ def wavelength_to_wavenumber(wavelength: Float[Array, "*batch"]) -> Float[Array,
 
 def bins_inside(
     name: str, nodes: Nodes, wavenumber: Float[Array, " sample"] | np.ndarray, transparent_above: bool = False
-) -> Check:
+) -> list[Check]:
     """Every bin lies between the ends of the table of `name` over increasing wavenumbers [sample] [cm-1].
 
-    With `transparent_above` bins may lie above it, too.
+    With `transparent_above` bins may lie above it, too. And its width is known to half a per cent: edges in float32
+    have a grain.
     """
     _, lower, upper, samples = on_host(nodes.lower, nodes.upper, wavenumber)
     covered = lower >= samples[0] * (1 - 1e-5)
@@ -226,7 +256,12 @@ def bins_inside(
         covered = covered & (upper <= samples[-1] * (1 + 1e-5))
     table = _in_words(samples[:1], samples[-1:]) + (" or above" if transparent_above else "")
     expected = f"bins inside the table of {name}, {table}; asked were {_in_words(lower, upper)}"
-    return Check("nodes.lower", lower, covered, expected)
+    grain = 25 * np.finfo(nodes.lower.dtype).eps
+    wide = f"bins of at least {grain:.1g} of their wavenumber, which {nodes.lower.dtype} resolves, or float64"
+    return [
+        Check("nodes.lower", lower, covered, expected),
+        Check("nodes: width of bins", upper - lower, upper - lower >= grain * upper, wide),
+    ]
 
 
 def _in_words(lower: Any, upper: Any) -> str:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxir._arrays import Check
+from jaxir._arrays import Check, on_host
 from jaxir._fields import Physical, Range, per_face, quantity
 from jaxir._math import dot, frame_around
 
@@ -75,9 +75,10 @@ def parameter(within: Range) -> Any:
     return quantity("1", ("face", "node"), within, per_face, least=1)
 
 
-def positive_fraction(field: str, value: Array) -> Check:
-    """`value` lies in (0, 1]."""
-    return Check(field, value, (value > 0) & (value <= 1), "values in (0, 1]")
+def width_of_lobe(field: str, value: Array) -> Check:
+    """`value` lies in [1e-4, 1]: narrower lobes have derivatives beyond float32, and no sampler meets them."""
+    _, x = on_host(value)
+    return Check(field, x, (x >= 1e-4) & (x <= 1), "values in [1e-4, 1]")
 
 
 def facing(omega: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Float[Array, " 3"]:

@@ -24,7 +24,7 @@ from jaxir.optics.surface._brdf import (
     cosine_direction,
     facing,
     parameter,
-    positive_fraction,
+    width_of_lobe,
 )
 from jaxir.optics.surface._fresnel import conductor_absorptance
 
@@ -48,14 +48,14 @@ class RoughConductor(AbstractBrdf):
     Attributes:
         index: n [face | 1, node | 1].
         extinction: k [face | 1, node | 1].
-        roughness: a in (0, 1] [face | 1, node | 1].
+        roughness: a in [1e-4, 1] [face | 1, node | 1].
 
     Differentiable in all three.
     """
 
     index: Float[Array, "face node"] = parameter(positive)
     extinction: Float[Array, "face node"] = parameter(non_negative)
-    roughness: Float[Array, "face node"] = parameter(positive_fraction)
+    roughness: Float[Array, "face node"] = parameter(width_of_lobe)
 
     @property
     def diffuse(self) -> bool:

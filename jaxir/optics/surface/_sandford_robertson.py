@@ -17,7 +17,7 @@ from jaxir.optics.surface._brdf import (
     cosine_direction,
     facing,
     parameter,
-    positive_fraction,
+    width_of_lobe,
 )
 
 _POINTS = 24
@@ -42,7 +42,7 @@ class SandfordRobertson(AbstractBrdf):
     Attributes:
         emissivity: E, hemispherical [face | 1, node | 1].
         diffuse_reflectance: D, hemispherical [face | 1, node | 1].
-        lobe_width: e in (0, 1]; the lobe's half width at half maximum is about 1.3 e [rad] [face | 1, node | 1].
+        lobe_width: e in [1e-4, 1]; the lobe's half width at half maximum is about 1.3 e [rad] [face | 1, node | 1].
         grazing: b in [0, 1]; 0 makes the emissivity the same in every direction [face | 1, node | 1].
 
     Differentiable in all four.
@@ -50,7 +50,7 @@ class SandfordRobertson(AbstractBrdf):
 
     emissivity: Float[Array, "face node"] = parameter(fraction)
     diffuse_reflectance: Float[Array, "face node"] = parameter(fraction)
-    lobe_width: Float[Array, "face node"] = parameter(positive_fraction)
+    lobe_width: Float[Array, "face node"] = parameter(width_of_lobe)
     grazing: Float[Array, "face node"] = parameter(fraction)
 
     @property

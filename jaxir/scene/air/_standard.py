@@ -68,9 +68,14 @@ class StandardAtmosphere(AbstractAtmosphere):
         air = path_air(self.profile, self.sensor_altitude, self.target_altitude, self.distance)
         return AirPath(path_transmittance(air, nodes), path_emission(air, nodes))
 
+    @property
+    def has_spectrum(self) -> bool:
+        """See `Physical.has_spectrum`."""
+        return True
+
     def node_checks(self, nodes: Nodes) -> list[Check]:
         """See `Physical.node_checks`: bins lie within 800-10000 cm-1."""
-        return [bins_inside("StandardAtmosphere", nodes, COLD_PATH_EDGES)]
+        return bins_inside("StandardAtmosphere", nodes, COLD_PATH_EDGES)
 
     def relations(self) -> list[Check]:
         """The path is long enough for its two altitudes and stays within the profile."""

@@ -32,9 +32,14 @@ class TableAtmosphere(AbstractAtmosphere):
         "W m-2 sr-1 / cm-1", ("sample",), non_negative, default=None
     )
 
+    @property
+    def has_spectrum(self) -> bool:
+        """See `Physical.has_spectrum`."""
+        return True
+
     def node_checks(self, nodes: Nodes) -> list[Check]:
         """See `Physical.node_checks`: bins lie within the table."""
-        return [bins_inside("TableAtmosphere", nodes, self.wavenumber)]
+        return bins_inside("TableAtmosphere", nodes, self.wavenumber)
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`.

@@ -16,7 +16,7 @@ class UniformBackground(AbstractBackground):
     """The same given radiance in every direction.
 
     Attributes:
-        radiance: [node or 1] [W m-2 sr-1], integrated over each node's bin. Differentiable.
+        radiance: [W m-2 sr-1], in every band, in each [band], or in each node's bin [node]. Differentiable.
     """
 
     radiance: Float[Array, " node"] = spectral("W m-2 sr-1")

@@ -23,7 +23,8 @@ class DiscSource(AbstractAreaSource):
         radius: [m].
         radiance: [node or 1] [W m-2 sr-1].
 
-    Differentiable in `radiance`, and in the others where no shadow moves.
+    Differentiable in `radiance`, and in the others where `ClosedForm` finds its light: where it is sampled, what has
+    been drawn stays.
     """
 
     centre: Float[Array, " 3"] = quantity("m", (3,))

@@ -20,7 +20,7 @@ class ParallelSource(AbstractDeltaSource):
 
     Attributes:
         direction: in which its light travels [3], unit length; (0, 0, -1) shines from above.
-        irradiance: on a surface facing it [node or 1] [W m-2], integrated over each node's bin.
+        irradiance: on a surface facing it [W m-2], in every band, in each [band], or in each node's bin [node].
 
     Differentiable in `irradiance`; not in `direction` where shadows move.
     """

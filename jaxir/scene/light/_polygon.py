@@ -20,7 +20,8 @@ class PolygonSource(AbstractAreaSource):
         corners: counterclockwise seen from the side that shines [corner, 3] [m]; at least three, in one plane.
         radiance: [node or 1] [W m-2 sr-1].
 
-    Differentiable in `radiance`, and in `corners` where no shadow moves.
+    Differentiable in `radiance`, and in `corners` where `ClosedForm` finds its light: where it is sampled, what has
+    been drawn stays.
     """
 
     corners: Float[Array, "corner 3"] = quantity("m", ("corner", 3))

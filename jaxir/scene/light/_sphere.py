@@ -21,7 +21,7 @@ class SphereSource(AbstractAreaSource):
         radius: [m].
         radiance: [node or 1] [W m-2 sr-1].
 
-    Differentiable in `radiance`, and in the others where no shadow moves.
+    Differentiable in `radiance`; not in its place and size, because it is sampled and what has been drawn stays.
     """
 
     centre: Float[Array, " 3"] = quantity("m", (3,))

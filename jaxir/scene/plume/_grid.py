@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -20,6 +22,7 @@ from jaxir.optics.spectrum import Nodes
 from jaxir.scene.plume._plume import AbstractPlume, Proposal
 
 MOST_BRICKS = 32  # pieces at most
+PROBED = 4096  # cells at most with which spectral nodes are chosen
 _EDGES = [(a, b) for a in range(8) for b in range(a) if (a ^ b).bit_count() == 1]
 
 
@@ -60,6 +63,24 @@ class GridPlume(AbstractPlume):
     def extent(self) -> Float[Array, "8 3"]:
         """See `AbstractPlume.extent`: corners of the grid."""
         return self.grid.corners()
+
+    def thinned(self) -> GridPlume:
+        """See `AbstractPlume.thinned`: every few cells along each axis, so that at most `PROBED` are left."""
+        shape = self.grid.shape
+        step = math.ceil((math.prod(shape) / PROBED) ** (1 / 3))
+        if step <= 1:
+            return self
+        start = [min(step, n) // 2 for n in shape]
+        few = tuple(slice(begin, None, step) for begin in start)
+
+        def some(leaf: Any) -> Any:
+            return jax.device_put(np.asarray(leaf)[few]) if leaf.shape[:3] == shape else leaf
+
+        kept = tuple(len(range(begin, n, step)) for begin, n in zip(start, shape, strict=True))
+        size = np.asarray(self.grid.size) / kept
+        grid = Grid(self.grid.origin, size, (kept[0], kept[1], kept[2]))
+        gas, particles = jax.tree.map(some, (self.gas, self.particles))
+        return GridPlume(grid, some(self.temperature), gas, particles)
 
     def medium(self, nodes: Nodes) -> CellMedium:
         """See `AbstractPlume.medium`. Differentiable in temperature, gas and particles."""

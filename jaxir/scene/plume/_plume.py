@@ -84,6 +84,10 @@ class AbstractPlume(Physical):
             forced: rays that are scattered for certain if they cross particles; the others may pass [ray].
         """
 
+    def thinned(self) -> AbstractPlume:
+        """About the same plume, made of few parts where it is made of many: enough to choose spectral nodes with."""
+        return self
+
     @abc.abstractmethod
     def hottest(self) -> Float[Array, ""]:
         """Its highest temperature [K]."""

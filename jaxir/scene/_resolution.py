@@ -1,0 +1,129 @@
+"""Which spectral nodes a scene needs, when bands are asked for."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxir._arrays import require
+from jaxir.geometry import Rays
+from jaxir.optics.spectrum import (
+    RESOLUTIONS,
+    Band,
+    Nodes,
+    as_nodes,
+    band_radiance,
+    gray_nodes,
+    padded_nodes,
+    resolved_nodes,
+    with_error,
+)
+from jaxir.scene._scene import Scene, on_nodes
+
+RTOL = 0.02  # of the in-band results of probing rays, against the finest nodes
+REFERENCE = RESOLUTIONS[-2]  # 8 quantiles: within .5 % of twelve
+UNKNOWN = RESOLUTIONS[4]  # where the scene's values are not known yet
+KEPT = 32  # choices
+_ACROSS = 6  # rows and columns of probing rays in each direction
+_DIRECTIONS = np.array([[0.0, 1.0, 0.0], [0.8, 0.6, 0.0], [0.96, 0.0, 0.28]])
+
+
+def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
+    """The spectral nodes on which a scene is computed.
+
+    Nodes are taken as they are. Bands become one gray node each where nothing in the scene depends on the wavenumber
+    inside a band (`Physical.has_spectrum`). Else they become the fewest of `RESOLUTIONS` with which 36 rays in each of
+    three directions through the plumes, before darkness and before the skin's mean and highest temperature, through
+    the air, give every band's mean radiance within `RTOL` of that on the finest; `Nodes.error` keeps what they err.
+    All candidates are tried by one program: coarser ones are padded with nodes of weight 0. A grid of more than some
+    thousand cells is probed on every few of them.
+
+    Args:
+        scene: the scene; where `jax.jit` has its values not yet, or `jax.vmap` has several, the resolution is
+            `UNKNOWN` instead.
+        bands: bands or nodes. `gray_nodes(bands)` asks for gray nodes whatever the scene.
+
+    Returns:
+        The nodes. Other values of the scene may ask for others: choose them once before an optimisation, whose
+        gradients would else compile anew where their number changes. The last `KEPT` choices are kept.
+
+    Raises:
+        ValueError: as `resolved_nodes` and `Scene.checks`.
+    """
+    if isinstance(bands, Nodes) or not scene.has_spectrum:
+        return as_nodes(bands)
+    scene = jax.tree.map(_value, scene)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
+        return resolved_nodes(bands, *UNKNOWN)
+    require(scene.checks())
+    leaves, structure = jax.tree.flatten(scene)
+    asked = (structure, str(bands), hashlib.sha256(b"".join(np.asarray(x).tobytes() for x in leaves)).digest())
+    if asked not in _chosen:
+        while len(_chosen) >= KEPT:
+            del _chosen[next(iter(_chosen))]
+        _chosen[asked] = _fewest(scene, bands)
+    return _chosen[asked]
+
+
+_chosen: dict[tuple, Nodes] = {}
+
+
+def _fewest(scene: Scene, bands: Band | Sequence[Band]) -> Nodes:
+    """`scene_nodes` of known values."""
+    reference = resolved_nodes(bands, *REFERENCE)
+    coarse = eqx.tree_at(lambda s: s.plumes, scene, tuple(plume.thinned() for plume in scene.plumes))
+
+    def results(nodes: Nodes) -> np.ndarray:
+        return np.asarray(_probed(coarse, padded_nodes(nodes, reference.count)), np.float64)
+
+    finest = results(reference)
+    scale = np.where(np.abs(finest) > 0, np.abs(finest), 1)
+    tries = [resolved_nodes(bands, *resolution) for resolution in RESOLUTIONS[: RESOLUTIONS.index(REFERENCE)]]
+    for nodes in (gray_nodes((bands,) if isinstance(bands, Band) else bands), *sorted(tries, key=lambda n: n.count)):
+        error = np.max(np.abs(results(nodes) - finest) / scale, axis=0)
+        if np.all(error <= RTOL):
+            return with_error(nodes, error)
+    return with_error(reference, error)  # that of the finest but one, which is larger than its own
+
+
+def _value(leaf: Array) -> Array:
+    """A leaf without the tangents of `jax.grad`; as it is below `jax.jit` and `jax.vmap`."""
+    while isinstance(leaf, jax.core.Tracer) and hasattr(leaf, "primal"):
+        leaf = leaf.primal
+    return leaf
+
+
+@eqx.filter_jit
+def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
+    """In-band radiance, means of the probing rays of a direction, of what lies behind them, and of the skin alone."""
+    lit = on_nodes(scene, nodes)
+    dark = jnp.zeros((1, nodes.count), nodes.weight.dtype)
+    behind = dark
+    if scene.skin is not None:
+        warm = jnp.stack([scene.skin.temperature.mean(), scene.skin.temperature.max()])
+        behind = jnp.concatenate([dark, jax.vmap(lambda t: band_radiance(t, nodes))(warm)])
+    if lit.medium is None:
+        return nodes.in_band(lit.dimmed_by_air(behind[1:] if len(behind) > 1 else behind))
+    corners = scene.extent()
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    place = jnp.asarray((np.indices((_ACROSS, _ACROSS)).reshape(2, -1).T + 0.5) / _ACROSS, low.dtype)
+    results = []
+    for toward in _DIRECTIONS:
+        axis = int(np.argmax(np.abs(toward)))
+        others = [k for k in range(3) if k != axis]
+        through = jnp.zeros((len(place), 3), low.dtype).at[:, axis].set(0.5)
+        through = through.at[:, np.array(others)].set(place)
+        direction = jnp.broadcast_to(jnp.asarray(toward, low.dtype), through.shape)
+        back = jnp.sqrt(jnp.sum((high - low) ** 2))
+        rays = Rays(low[None] + through * (high - low)[None] - back * direction, direction)
+        far = jnp.full(rays.count, jnp.inf, low.dtype)
+        passed = lit.medium.transmittance(rays, far).mean(axis=0)
+        shine = lit.medium.radiance(rays, far, jnp.broadcast_to(dark, (rays.count, nodes.count))).mean(axis=0)
+        results.append(lit.dimmed_by_air(shine[None] + passed[None] * behind))
+    return nodes.in_band(jnp.concatenate(results))

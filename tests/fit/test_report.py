@@ -1,0 +1,67 @@
+"""A fit's report: whether the model explains the data, what stands out, what is at a bound, what is open."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir.fit import Bounds, Factor, fit
+from tests.fit.slabs import DEPTH, TEMPERATURE, looked_at, slab
+
+THREE = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
+
+
+def with_value(measurement, change):
+    value = np.array(measurement.value)
+    return eqx.tree_at(lambda m: m.value, measurement, jnp.asarray(change(value)))
+
+
+def test_two_equal_numbers_leave_both_unknowns_open():
+    # the solver runs to great depth, where nothing depends on it and the temperature looks determined
+    one = looked_at(slab(1000.0, 1.0), (jaxir.MWIR,))
+    found = fit(slab(600.0, 3.0), [TEMPERATURE, DEPTH], [one, one])
+    assert found.uncertainty.standard_deviation[0] < 0.01
+    true = 1000.0 / 600.0
+    low, high = np.asarray(found.reach)[:, 0]
+    assert low < true < high
+    assert found.standard_deviation[0] > 0.1 and np.isinf(found.standard_deviation[1])
+    assert "not determined: temperature from" in str(found) and "depth" in found.uncertainty.undetermined()[0]
+
+
+def test_a_good_fit_says_so_and_an_outlier_is_named():
+    measured = looked_at(slab(1000.0, 1.0), THREE)
+    good = fit(slab(800.0, 0.5), [TEMPERATURE, DEPTH], [measured])
+    assert good.probability > 0.9 and "the data are explained" in str(good)
+    bad = fit(slab(800.0, 0.5), [TEMPERATURE], [with_value(measured, lambda v: v * np.array([[1.0, 1.0, 3.0]]))])
+    assert bad.probability < 1e-6
+    said = str(bad)
+    assert "THE MODEL DOES NOT EXPLAIN THE DATA" in said and "measurement 0, row 0, LWIR" in said
+
+
+def test_few_outliers_suggest_a_robust_loss():
+    measured = looked_at(slab(1000.0, 1.0), THREE)
+    wrong = with_value(measured, lambda v: v * np.array([[1.0, 1.0, 1.4]]))
+    among = [measured] * 12 + [wrong]
+    squares = fit(slab(800.0, 1.0), [TEMPERATURE], among)
+    assert "try robust=3" in str(squares) and "measurement 12, row 0, LWIR" in str(squares)
+    robust = fit(slab(800.0, 1.0), [TEMPERATURE], among, robust=3.0)
+    assert "try robust=3" not in str(robust)
+    assert abs(float(robust.uncertainty.value[0]) - 1.25) < abs(float(squares.uncertainty.value[0]) - 1.25) + 1e-4
+
+
+@pytest.mark.parametrize("bound", ["upper", "lower"])
+def test_a_value_at_its_bound_is_named(bound):
+    measured = looked_at(slab(1000.0, 1.0), THREE)
+    limits = Bounds(0.5, 1.1) if bound == "upper" else Bounds(0.9, 3.0)
+    start = slab(800.0 if bound == "upper" else 1250.0, 1.0)  # the truth is at 1.25 or .8
+    found = fit(start, [Factor("temperature", lambda s: s.plume.temperature, limits)], [measured])
+    assert f"temperature is at its {bound} bound" in str(found) and found.at_bounds
+
+
+def test_the_total_standard_deviation_counts_the_rays():
+    measured = looked_at(slab(1000.0, 1.0), THREE)
+    found = fit(slab(800.0, 0.5), [TEMPERATURE, DEPTH], [measured])
+    noisy = eqx.tree_at(lambda f: f.sampling_error, found, jnp.asarray([0.3, 0.4]))
+    expected = np.hypot(np.asarray(found.uncertainty.standard_deviation), [0.3, 0.4])
+    np.testing.assert_allclose(noisy.standard_deviation, expected, rtol=1e-6)

@@ -1,0 +1,175 @@
+"""What stands behind an intensity: the nodes by default, light in a band, and every part of the error told."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir import LWIR, MWIR, SWIR
+from jaxir.scene import scene_nodes
+from tests.scenes import box_mesh, gray_box, plate
+
+BANDS = (SWIR, MWIR, LWIR)
+HOT = jaxir.NarrowBandGas(pressure=101325.0, h2o=0.1, co2=0.1)
+PIXEL = jaxir.orthographic_camera(0.0, 0.0, 0.01, (1, 1), (0.4, 0.0, 0.0))
+AIR = jaxir.StandardAtmosphere(0.0, 0.0, 5e3)
+
+
+def slab(air=None):
+    grid = jaxir.Grid((0.0, -0.38, -0.38), (0.76, 0.76, 0.76), (1, 1, 1))
+    return jaxir.Scene(None, jaxir.GridPlume(grid, 950.0, HOT), atmosphere=air)
+
+
+# Spectral nodes -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("air", [None, AIR], ids=["vacuum", "air"])
+def test_bands_take_the_nodes_that_a_gas_needs_and_tell_what_they_err(air):
+    scene = slab(air)
+    image = jaxir.render(scene, PIXEL, BANDS, samples=2)
+    fine = jaxir.render(scene, PIXEL, jaxir.resolved_nodes(BANDS, 25.0, 12, 8), samples=2)
+    gray = jaxir.render(scene, PIXEL, jaxir.gray_nodes(BANDS), samples=2)
+    error = np.abs(image.radiance[0, 0] / fine.radiance[0, 0] - 1)
+    assert (np.abs(gray.radiance[0, 0] / fine.radiance[0, 0] - 1) > 0.3).all()
+    assert (error < 0.03).all() and (error <= 1.5 * np.asarray(image.spectral) + 0.01).all()
+    assert image.error_budget().spectral is not None and gray.error_budget().spectral is None
+
+
+def test_what_is_gray_takes_one_node_a_band_and_what_is_asked_is_kept():
+    gray = jaxir.Scene(plate(), gray_box((1.0, 1.0, 1.0), 0.5), atmosphere=jaxir.UniformAtmosphere(1e3, 1e-4, 288.0))
+    assert scene_nodes(gray, BANDS).count == 3
+    asked = jaxir.resolved_nodes(BANDS, 200.0, 2, 2)
+    assert scene_nodes(slab(), asked) is asked
+    assert scene_nodes(slab(), BANDS).count > 50
+
+
+def test_nodes_are_chosen_below_grad_and_without_values_inside_jit():
+    def intensity(t):
+        grid = jaxir.Grid((0.0, -0.38, -0.38), (0.76, 0.76, 0.76), (1, 1, 1))
+        scene = jaxir.Scene(None, jaxir.GridPlume(grid, t, HOT))
+        return jaxir.plume_intensity(scene, 0.0, 0.0, MWIR, rays=4)[0]
+
+    outside, inside = intensity(950.0), jax.jit(intensity)(950.0)
+    np.testing.assert_allclose(inside, outside, rtol=0.05)
+    value, slope = jax.value_and_grad(intensity)(950.0)
+    np.testing.assert_allclose(value, outside, rtol=1e-6)
+    np.testing.assert_allclose(slope, (intensity(955.0) - intensity(945.0)) / 10, rtol=0.01)
+
+
+def test_a_large_grid_is_probed_on_some_of_its_cells():
+    grid = jaxir.Grid((0.0, 0.0, 0.0), (0.01, 0.02, 0.02), (64, 33, 20))
+    temperature = jnp.broadcast_to(jnp.linspace(400, 1200, 64)[:, None, None], grid.shape)
+    thin = jaxir.GridPlume(grid, temperature, jaxir.NarrowBandGas(101325.0, h2o=temperature / 1e4)).thinned()
+    assert np.prod(thin.grid.shape) <= 4096 and thin.temperature.shape == thin.grid.shape == thin.gas.h2o.shape
+    np.testing.assert_allclose(thin.grid.size, grid.size, rtol=1e-6)
+    assert abs(float(thin.temperature.mean()) - 800.0) < 20
+
+
+# Light in bands -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("light", [10.0, [10.0, 5.0]], ids=["one number", "one a band"])
+def test_light_given_for_bands_does_not_depend_on_the_nodes(light):
+    skin = jaxir.Skin(plate().mesh, 400.0, jaxir.Lambert(np.array([[0.5, 0.7]])))
+    source = jaxir.ParallelSource((-1.0, 0.0, 0.0), light)
+    scene = jaxir.Scene(skin, (), source, jaxir.UniformBackground(light))
+    camera = jaxir.orthographic_camera(0.0, 10.0, 0.1, (16, 16))
+    got = [
+        jaxir.render(scene, camera, nodes, samples=2).radiant_intensity()
+        for nodes in (jaxir.gray_nodes((MWIR, LWIR)), jaxir.resolved_nodes((MWIR, LWIR), 100.0, 2, 2))
+    ]
+    np.testing.assert_allclose(got[1], got[0], rtol=1e-5)
+
+
+def test_light_for_bands_that_overlap_is_refused():
+    scene = jaxir.Scene(plate(), (), jaxir.ParallelSource((-1.0, 0.0, 0.0), 10.0))
+    nodes = jaxir.resolved_nodes((MWIR, jaxir.Band("near", 3.0, 4.0)), 100.0, 1, 0)
+    with pytest.raises(ValueError, match="ParallelSource.irradiance: bands of a node: got 2 at index .* light given"):
+        jaxir.render(scene, PIXEL, nodes)
+
+
+# The budget -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seen", [1.0, 0.5, 0.2])
+def test_what_lies_beyond_the_frame_is_told(seen):
+    scene = jaxir.Scene(jaxir.Skin(box_mesh((8.0, 0.5, 0.5)), 400.0, jaxir.Lambert(0.8)))
+    whole = jaxir.render(scene, jaxir.fitted_camera(90.0, 0.0, scene.extent(), (16, 64)), LWIR, samples=2)
+    camera = jaxir.orthographic_camera(90.0, 0.0, (8.1 / 64, 0.6 / 16), (16, int(64 * seen)), (-4 * (1 - seen), 0, 0))
+    errors = jaxir.render(scene, camera, LWIR, samples=2).error_budget()
+    missing = float(whole.radiant_intensity()[0] - errors.intensity[0])
+    told = float(errors.outside[0])
+    assert told == pytest.approx(missing, rel=0.35, abs=0.02 * float(whole.radiant_intensity()[0]))
+    assert float(errors.total[0]) >= told
+
+
+def test_a_budget_prints_every_part():
+    errors = jaxir.render(slab(), PIXEL, (MWIR, LWIR), samples=2).error_budget()
+    lines = str(errors).splitlines()
+    assert [line.split()[0] for line in lines[1:]] == [
+        "intensity",
+        "sampling",
+        "spectral",
+        "truncation",
+        "outside",
+        "total",
+    ]
+    parts = (errors.sampling, errors.spectral, errors.truncation, errors.outside)
+    np.testing.assert_allclose(errors.total, np.sqrt(sum(np.asarray(part) ** 2 for part in parts)), rtol=1e-6)
+    table = jaxir.signature(slab(), [(0.0, 0.0), (90.0, 0.0)], (MWIR, LWIR), shape=(16, 16)).error_budget()
+    assert "of the brightest of 2 views" in str(table) and table.total.shape == (2, 2)
+
+
+# Tolerances and geometry ----------------------------------------------------------------------------------------------
+
+
+def test_a_tolerance_is_met_over_keys_and_not_by_luck():
+    # a small bright lamp near one corner: most passes of four rays see little of it
+    skin = jaxir.Skin(plate().mesh, 300.0, jaxir.Lambert(0.5))
+    scene = jaxir.Scene(skin, (), jaxir.DiscSource((0.3, 0.4, 0.4), (-1.0, 0.0, 0.0), 0.2, 300.0))
+    camera = jaxir.orthographic_camera(0.0, 0.0, 0.2, (8, 8))
+    method = jaxir.Method(jaxir.DirectSampling(1, 0))
+    found = [
+        float(
+            jaxir.render(
+                scene, camera, LWIR, samples=2, rtol=0.03, key=jax.random.key(k), method=method
+            ).radiant_intensity()[0]
+        )
+        for k in range(24)
+    ]
+    true = jaxir.render(scene, camera, LWIR, samples=512, method=jaxir.Method(jaxir.ClosedForm())).radiant_intensity()[
+        0
+    ]
+    assert np.sqrt(np.mean((np.array(found) / float(true) - 1) ** 2)) < 0.03
+
+
+def test_faces_that_hide_one_another_are_refused_unless_a_bound_is_asked():
+    two = jaxir.Mesh(
+        [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 2, 3]]
+    )  # a corner seen from inside
+    scene = jaxir.Scene(jaxir.Skin(two, 300.0, jaxir.Lambert(0.8)))
+    with pytest.raises(ValueError, match="scene.skin: got faces that may hide one another"):
+        jaxir.unoccluded_intensity(scene, 0.0, 0.0, LWIR)
+    assert float(jaxir.unoccluded_intensity(scene, 45.0, 45.0, LWIR, upper_bound=True)[0]) > 0
+
+
+@pytest.mark.parametrize("distance", [4.0, 8.0])
+def test_a_near_sensor_stays_where_it_was_put(distance):
+    # a small body far off the middle of the extent: the image's middle is not where the eye was placed over
+    mesh = box_mesh((6.0, 0.2, 0.2))
+    few = jaxir.Scene(jaxir.Skin(mesh, 400.0, jaxir.Lambert(0.8)))
+    got = jaxir.signature(few, [(60.0, 20.0)], LWIR, distance=distance, shape=(64, 256), samples=2).intensity[0, 0]
+    eye = distance * np.array([np.cos(np.pi / 9) * 0.5, np.cos(np.pi / 9) * np.sin(np.pi / 3), np.sin(np.pi / 9)])
+    toward = eye / distance
+    corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    s = (np.indices((400, 400)).reshape(2, -1).T + 0.5) / 400
+    s = np.where(s.sum(1, keepdims=True) > 1, 1 - s, s)
+    total = 0.0
+    for (a, b, c), n in zip(corners, normal, strict=True):  # E on a plane facing the middle, times distance squared
+        off = eye - (a + s[:, :1] * (b - a) + s[:, 1:] * (c - a))
+        away = np.linalg.norm(off, axis=1)
+        total += np.mean(np.maximum(off @ n, 0) * (off @ toward) / away**4) * distance**2
+    black = float(jaxir.band_radiance(jnp.asarray(400.0), jaxir.gray_nodes((LWIR,)))[0]) * 0.8
+    np.testing.assert_allclose(got, total * black, rtol=5e-3)
