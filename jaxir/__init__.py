@@ -100,6 +100,7 @@ from jaxir.geometry import Sobol as Sobol
 from jaxir.geometry import Stratified as Stratified
 from jaxir.transport import ClosedForm as ClosedForm
 from jaxir.transport import DirectSampling as DirectSampling
+from jaxir.transport import DiscreteOrdinates as DiscreteOrdinates
 from jaxir.transport import Method as Method
 from jaxir.transport import PlumeLight as PlumeLight
 from jaxir.transport import SkinLight as SkinLight

@@ -24,6 +24,9 @@ from jaxir.geometry._form_factor import polygon_form_factor as polygon_form_fact
 from jaxir.geometry._grading import Brightness as Brightness
 from jaxir.geometry._grading import graded_camera as graded_camera
 from jaxir.geometry._grid import Grid as Grid
+from jaxir.geometry._harmonics import degrees as degrees
+from jaxir.geometry._harmonics import harmonics as harmonics
+from jaxir.geometry._harmonics import sphere_rule as sphere_rule
 from jaxir.geometry._loops import bits as bits
 from jaxir.geometry._loops import greater as greater
 from jaxir.geometry._loops import item as item

@@ -18,7 +18,7 @@ from jaxir.geometry.search import may_see
 from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
-from jaxir.transport import Method, evaluate_orders, share_outside, trace
+from jaxir.transport import Method, error_of_bands, evaluate_orders, share_outside, trace, with_scattered
 
 TILES = 64  # of a chunk at most
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in the cache
@@ -120,14 +120,15 @@ def first_pass(
     """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
     strata, nodes = pixel_strata(samples), scene_nodes(scene, bands)
     nodes = enforce(nodes, [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene)])
-    lit, reach = _prepared(scene, nodes, camera)
-    return Pass(enforce(lit, [eye_outside(reach)]), camera, key, as_number(0), strata, method.resolved(scene), parts)
+    method = method.resolved(scene)
+    lit, reach = _prepared(scene, nodes, camera, method)
+    return Pass(enforce(lit, [eye_outside(reach)]), camera, key, as_number(0), strata, method, parts)
 
 
 @eqx.filter_jit
-def _prepared(scene: Scene, nodes: Nodes, camera: Camera) -> tuple[Lit, Array]:
+def _prepared(scene: Scene, nodes: Nodes, camera: Camera, method: Method) -> tuple[Lit, Array]:
     """The scene on the nodes, and how far it reaches towards the eye."""
-    return on_nodes(scene, nodes), reach_to_eye(scene, camera)
+    return with_scattered(on_nodes(scene, nodes), method), reach_to_eye(scene, camera)
 
 
 def as_number(number: int) -> Array:
@@ -147,7 +148,8 @@ def whole_image(taken: Pass, parts: Estimate) -> Image:
         orders = orders.reshape((*orders.shape[:2], 2, -1))
     samples = 2 * taken.strata[0] * taken.strata[1]
     nodes, outside = taken.lit.nodes, share_outside(taken.lit, camera)
-    return image_of(camera, nodes.names, mean, variance, empty, samples, orders, nodes.error, outside)
+    about = error_of_bands(taken.lit), nodes.error, outside
+    return image_of(camera, nodes.names, mean, variance, empty, samples, orders, *about)
 
 
 def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
@@ -195,7 +197,7 @@ def _dark(taken: Pass, empty: Array | None) -> _Seen:
     pixels = (taken.tiles_at_once, TILE * TILE)
     bands, dtype = taken.lit.nodes.response.shape[0], taken.camera.pixel.dtype
     zero = jnp.zeros((*pixels, bands), dtype)
-    orders = None if not taken.lit.scene.scatters else jnp.zeros((*pixels, 2, bands), dtype)
+    orders = None if not taken.method.samples_particles(taken.lit.scene) else jnp.zeros((*pixels, 2, bands), dtype)
     return _Seen(zero, zero if empty is None else None, orders)
 
 
@@ -212,7 +214,7 @@ def _estimate(
         offset = jax.vmap(lambda i: stratum_points(for_pixels, i, size, strata))(index)
         bundle = tile_rays(camera, tile, offset, start)
         parts = evaluate_orders(lit, trace(lit.scene, bundle, method, jax.random.fold_in(for_paths, first)))
-        orders = jnp.stack([parts.last, parts.before], axis=1) if lit.scene.scatters else None
+        orders = jnp.stack([parts.last, parts.before], axis=1) if method.samples_particles(lit.scene) else None
         without = lit.empty(bundle.rays().direction) if empty is None else None
         seen = jax.tree.map(
             lambda value: lit.nodes.in_band(value).reshape((size, TILE * TILE, some, 2, *value.shape[1:-1], -1)),

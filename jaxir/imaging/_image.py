@@ -36,6 +36,7 @@ class Image(eqx.Module):
         outcome: why no more were taken, an item of `Outcome`.
         orders: what the last two orders of scattering brought of the radiant intensity, the last first [2, band]
             [W sr-1]; None without particles.
+        unresolved: estimated share of what particles scatter that `DiscreteOrdinates` lacks [band]; None without.
         spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
         outside: share of the scene's intensity beyond the frame, roughly [band], see `share_outside`; None unknown.
     """
@@ -48,6 +49,7 @@ class Image(eqx.Module):
     samples: Int[Array, ""]
     outcome: Outcome
     orders: Float[Array, "2 band"] | None = None
+    unresolved: Float[Array, " band"] | None = None
     spectral: Float[Array, " band"] | None = None
     outside: Float[Array, " band"] | None = None
 
@@ -79,10 +81,12 @@ class Image(eqx.Module):
     @property
     @eqx.filter_jit
     def truncation(self) -> Float[Array, " band"]:
-        """Share of the radiant intensity that orders of scattering beyond the last would add, estimated [band].
+        """Share of the radiant intensity that is left out of what particles scatter, estimated [band].
 
-        See `truncated_share`; 0 without particles.
+        Of orders of scattering beyond the last, see `truncated_share`, or `unresolved`; 0 without particles.
         """
+        if self.unresolved is not None:
+            return self.unresolved
         intensity = self.radiant_intensity()
         return jnp.zeros_like(intensity) if self.orders is None else truncated_share(self.orders, intensity)
 
@@ -108,6 +112,7 @@ def image_of(
     empty: Float[Array, "_row _column band"],
     samples: int,
     orders: Float[Array, "row column 2 band"] | None,
+    unresolved: Float[Array, " band"] | None,
     spectral: Float[Array, " band"] | None,
     outside: Float[Array, " band"],
 ) -> Image:
@@ -117,7 +122,7 @@ def image_of(
     taken = jnp.asarray(samples, jnp.int32)
     error = safe_sqrt(variance)
     outcome: Any = Outcome.samples_taken  # an enumeration, which types do not know
-    return Image(mean, error, empty, camera, bands, taken, outcome, whole, spectral, outside)
+    return Image(mean, error, empty, camera, bands, taken, outcome, whole, unresolved, spectral, outside)
 
 
 def meets(image: Image, rtol: float) -> bool:
@@ -135,5 +140,5 @@ def joined(image: Image, more: Image) -> Image:
         (image.radiance, image.empty, image.orders),
         (more.radiance, more.empty, more.orders),
     )
-    about = image.spectral, image.outside
+    about = image.unresolved, image.spectral, image.outside
     return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders, *about)

@@ -226,6 +226,9 @@ def _by_particles(scene: Scene, method: Method) -> list[Term]:
     if not scene.scatters:
         return []
     once = "parallel light scattered once is summed over the cells, " if scene.summed_beams else ""
+    if method.scattering is not None:
+        points = f"a lattice of {method.scattering.along} points along each plume"
+        return [Term("Particles", True, f"light scattered however often, solved on {points}; no sampling")]
     if method.orders == 0:
         return [Term("Particles", True, f"{once}light scattered more often is left out, as asked")]
     sentence = (

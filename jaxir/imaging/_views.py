@@ -20,7 +20,7 @@ from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_ey
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
-from jaxir.transport import Method, graded_cameras
+from jaxir.transport import Method, graded_cameras, with_scattered
 
 
 class Signature(eqx.Module):
@@ -143,9 +143,10 @@ def prepare_views(
 ) -> Views:
     """Check what `signature` is asked and make it ready; arguments and errors as there."""
     aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, method)
-    lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
+    method = method.resolved(scene)
+    lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away, method)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach)])
-    return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method.resolved(scene), aspect)
+    return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method, aspect)
 
 
 def check_views(
@@ -161,7 +162,8 @@ def check_views(
     """Raise what `signature` would, before anything is computed; arguments and errors as there."""
     aspect, nodes, away = _checked(scene, views, bands, distance, Method() if method is None else method)
     pixel_strata(samples)
-    eqx.filter_eval_shape(_prepared, scene, nodes, aspect, shape, away)  # parts that do not suit the nodes
+    resolved = (Method() if method is None else method).resolved(scene)
+    eqx.filter_eval_shape(_prepared, scene, nodes, aspect, shape, away, resolved)  # parts that do not suit the nodes
     enforce(nodes, [eye_outside(_reach(scene, aspect, shape, away))])
 
 
@@ -185,12 +187,12 @@ def _reach(scene: Scene, aspect: Array, shape: tuple[int, int], distance: Array)
 
 @eqx.filter_jit
 def _prepared(
-    scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array
+    scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array, method: Method
 ) -> tuple[Lit, Camera, Array]:
     """The scene on the nodes, the cameras of all views [view], and how far it reaches towards their eyes [view]."""
     lit = on_nodes(scene, nodes)
     cameras = graded_cameras(lit, aspect, shape, distance)
-    return lit, cameras, jax.vmap(lambda camera: reach_to_eye(scene, camera))(cameras)
+    return with_scattered(lit, method), cameras, jax.vmap(lambda camera: reach_to_eye(scene, camera))(cameras)
 
 
 @eqx.filter_jit

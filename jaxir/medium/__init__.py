@@ -15,8 +15,10 @@ from jaxir.medium._march import march as march
 from jaxir.medium._march import optical_depth as optical_depth
 from jaxir.medium._march import transmittance as transmittance
 from jaxir.medium._medium import AbstractMedium as AbstractMedium
+from jaxir.medium._medium import AbstractScatterer as AbstractScatterer
 from jaxir.medium._medium import Capsules as Capsules
 from jaxir.medium._medium import MediumOptics as MediumOptics
 from jaxir.medium._medium import medium_optics as medium_optics
 from jaxir.medium._sum import MediumSum as MediumSum
 from jaxir.medium._sum import merged_cuts as merged_cuts
+from jaxir.medium._sum import radiance_between as radiance_between

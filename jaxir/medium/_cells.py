@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,7 @@ from jaxir._arrays import as_float
 from jaxir.geometry import Crossings, Grid, Rays, crossings
 from jaxir.medium._crossing_sum import crossing_sum
 from jaxir.medium._march import march, transmittance
-from jaxir.medium._medium import AbstractMedium, Capsules, scattered_at
+from jaxir.medium._medium import AbstractScatterer, Capsules, scattered_at
 from jaxir.optics import phi1
 from jaxir.optics.particle import AbstractPhase
 
@@ -19,7 +20,7 @@ BLOCKS = 24  # most capsules along each axis
 BESIDE = 1e-3  # cells by which a scattered point may lie beside the grid by rounding
 
 
-class CellMedium(AbstractMedium):
+class CellMedium(AbstractScatterer):
     """Cells of a grid, each homogeneous.
 
     Attributes:
@@ -62,6 +63,38 @@ class CellMedium(AbstractMedium):
         held, inside = self._cell(point, BESIDE)
         return scattered_at(jnp.where(inside, self.scattering_coefficient[held], 0), self.phase, cosine)
 
+    @property
+    def lobe(self) -> AbstractPhase | None:
+        """See `AbstractScatterer.lobe`."""
+        return self.phase
+
+    def less(self, share: Float[Array, " node"]) -> CellMedium:
+        """See `AbstractScatterer.less`."""
+        assert self.scattering_coefficient is not None
+        forward = self.scattering_coefficient * share.reshape((1,) * (self.extinction.ndim - 1) + (-1,))
+        parts = self.extinction - forward, self.scattering_coefficient - forward
+        return eqx.tree_at(lambda m: (m.extinction, m.scattering_coefficient), self, parts)
+
+    def scattering_at(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """See `AbstractScatterer.scattering_at`."""
+        assert self.scattering_coefficient is not None
+        held, inside = self._cell(point, 0.0)
+        return jnp.where(inside, self.scattering_coefficient[held], 0)
+
+    def from_cube(self, place: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
+        """See `AbstractScatterer.from_cube`: the grid's box."""
+        return self.grid.origin[None] + place * self.grid.size[None]
+
+    def to_cube(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray 3"]:
+        """See `AbstractScatterer.to_cube`."""
+        return (point - self.grid.origin[None]) / self.grid.size[None]
+
+    def lattice(self, along: int, across: int) -> tuple[int, int, int]:
+        """See `AbstractScatterer.lattice`: by the numbers of cells."""
+        most = max(self.grid.shape)
+        first, second, third = (max(across, -(-along * cells // most)) for cells in self.grid.shape)
+        return first, second, third
+
     def cuts(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
         """See `AbstractMedium.cuts`: where rays pass from cell to cell."""
         return cell_cuts(self.grid, rays, t_max)
@@ -86,11 +119,6 @@ class CellMedium(AbstractMedium):
         centre = grid.origin[None] + (as_float(place) + 0.5) * block[None]
         radius = jnp.full(centre.shape[:1], jnp.max(block) / 2)
         return Capsules(jnp.repeat(centre[:, None], 2, axis=1), radius, whole.reshape(centre.shape[0], -1))
-
-    @property
-    def scatters(self) -> bool:
-        """See `AbstractMedium.scatters`."""
-        return self.phase is not None
 
     @property
     def beam_points(self) -> tuple[Float[Array, "point 3"], Bool[Array, " point"]]:

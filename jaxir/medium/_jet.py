@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,11 +19,12 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
+from jaxir._math import frame_around
 from jaxir.geometry import Rays
 from jaxir.medium._active import for_active
 from jaxir.medium._jet_layers import BETWEEN, COMPUTED, KNOTS, across_panels, between_knots
 from jaxir.medium._jet_shape import Chord, JetShape, chords, gauss_points, panel_edges
-from jaxir.medium._medium import AbstractMedium, Capsules, MediumOptics, scattered_at
+from jaxir.medium._medium import AbstractScatterer, Capsules, MediumOptics, scattered_at
 from jaxir.optics import phi1
 from jaxir.optics.particle import AbstractPhase
 
@@ -31,7 +33,7 @@ STATIONS = 48  # capsules along the axis
 RINGS = 4  # and across it
 
 
-class JetMedium(AbstractMedium):
+class JetMedium(AbstractScatterer):
     """A jet with its optics tabulated over the mixture fraction, 0 to 1 in equal steps.
 
     Attributes:
@@ -82,6 +84,43 @@ class JetMedium(AbstractMedium):
         assert self.scattering_coefficient is not None and self.phase is not None
         return scattered_at(between_knots(self.scattering_coefficient, self.shape.at(point)), self.phase, cosine)
 
+    @property
+    def lobe(self) -> AbstractPhase | None:
+        """See `AbstractScatterer.lobe`."""
+        return self.phase
+
+    def less(self, share: Float[Array, " node"]) -> JetMedium:
+        """See `AbstractScatterer.less`."""
+        assert self.scattering_coefficient is not None
+        forward = self.scattering_coefficient * share.reshape((1,) * (self.extinction.ndim - 1) + (-1,))
+        parts = self.extinction - forward, self.scattering_coefficient - forward
+        return eqx.tree_at(lambda m: (m.extinction, m.scattering_coefficient), self, parts)
+
+    def scattering_at(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """See `AbstractScatterer.scattering_at`. Differentiable in the jet and the points."""
+        assert self.scattering_coefficient is not None
+        fraction = self.shape.at(point)
+        return jnp.where((fraction > 0)[:, None], between_knots(self.scattering_coefficient, fraction), 0)
+
+    def from_cube(self, place: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
+        """See `AbstractScatterer.from_cube`: along the axis even in ln(z + d / 2), across it as wide as the jet."""
+        shape, (u, v, w) = self.shape, frame_around(self.shape.direction)
+        z = shape.stations(place[:, 0])
+        across = shape.edge(z)[:, None] * (2 * place[:, 1:] - 1)
+        return shape.nozzle[None] + z[:, None] * w[None] + across[:, :1] * u[None] + across[:, 1:] * v[None]
+
+    def to_cube(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray 3"]:
+        """See `AbstractScatterer.to_cube`."""
+        shape = self.shape
+        x, y, z = (frame_around(shape.direction) @ (point - shape.nozzle[None]).T).astype(point.dtype)
+        lip, z = shape.diameter / 2, jnp.maximum(z, 0)
+        along = jnp.log1p(z / lip) / jnp.log1p(shape.end / lip)
+        return jnp.stack([along, (x / shape.edge(z) + 1) / 2, (y / shape.edge(z) + 1) / 2], axis=1)
+
+    def lattice(self, along: int, across: int) -> tuple[int, int, int]:
+        """See `AbstractScatterer.lattice`."""
+        return along, across, across
+
     def cuts(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
         """See `AbstractMedium.cuts`: the panels."""
         return panel_edges(self.shape, rays, t_max)
@@ -109,11 +148,6 @@ class JetMedium(AbstractMedium):
         emitted = self.emission[knot] * escaping * volume[..., None]
         ends = shape.nozzle[None, None] + jnp.stack([low, high], axis=1)[:, :, None] * shape.direction[None, None]
         return Capsules(jnp.repeat(ends, RINGS, axis=0), outer.reshape(-1), emitted.reshape(STATIONS * RINGS, -1))
-
-    @property
-    def scatters(self) -> bool:
-        """See `AbstractMedium.scatters`."""
-        return self.phase is not None
 
 
 def tabulated_jet(

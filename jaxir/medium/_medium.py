@@ -7,6 +7,7 @@ the particles, and gas and particles emit at one temperature: emission = absorpt
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -79,6 +80,15 @@ class AbstractMedium(eqx.Module):
         """Whether there are particles in it."""
 
     @property
+    @abc.abstractmethod
+    def parts_with_particles(self) -> tuple[AbstractScatterer, ...]:
+        """The media with particles of which it is made."""
+
+    @abc.abstractmethod
+    def less_forward(self, shares: Sequence[Float[Array, " node"]]) -> AbstractMedium:
+        """The same, taking a share [node] of what each of `parts_with_particles` scatters as not scattered at all."""
+
+    @property
     def beam_points(self) -> tuple[Float[Array, "point 3"], Bool[Array, " point"]]:
         """Where `in_scattered` asks for the irradiance of a beam [point, 3] [m], and where that matters [point]."""
         raise NotImplementedError(f"{type(self).__name__}: beams are sampled where paths are scattered")
@@ -103,6 +113,49 @@ class AbstractMedium(eqx.Module):
             t_max: where they end [ray] [m].
         """
         raise NotImplementedError(f"{type(self).__name__}: beams are sampled where paths are scattered")
+
+
+class AbstractScatterer(AbstractMedium):
+    """A medium that may have particles, all of one kind, in a space that a unit cube is mapped to."""
+
+    @property
+    @abc.abstractmethod
+    def lobe(self) -> AbstractPhase | None:
+        """Phase function of the particles; None without."""
+
+    @abc.abstractmethod
+    def less(self, share: Float[Array, " node"]) -> AbstractScatterer:
+        """See `AbstractMedium.less_forward`."""
+
+    @abc.abstractmethod
+    def scattering_at(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """Scattering coefficient [ray, node] [m-1] at points [ray, 3] [m]; 0 outside."""
+
+    @abc.abstractmethod
+    def from_cube(self, place: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
+        """Points [point, 3] [m] of places in the unit cube; the medium lies in its image."""
+
+    @abc.abstractmethod
+    def to_cube(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray 3"]:
+        """The inverse of `from_cube`, of points in the medium."""
+
+    @abc.abstractmethod
+    def lattice(self, along: int, across: int) -> tuple[int, int, int]:
+        """How many points the edges of the cube take, `along` the longest and at least `across` the others."""
+
+    @property
+    def scatters(self) -> bool:
+        """See `AbstractMedium.scatters`."""
+        return self.lobe is not None
+
+    @property
+    def parts_with_particles(self) -> tuple[AbstractScatterer, ...]:
+        """See `AbstractMedium.parts_with_particles`."""
+        return (self,) if self.scatters else ()
+
+    def less_forward(self, shares: Sequence[Float[Array, " node"]]) -> AbstractScatterer:
+        """See `AbstractMedium.less_forward`."""
+        return self.less(shares[0]) if self.scatters else self
 
 
 class MediumOptics(NamedTuple):

@@ -11,7 +11,7 @@ mix: two jets that share a place are each as hot there as alone.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from jaxir.geometry import Rays
 from jaxir.medium._active import for_active
 from jaxir.medium._jet_layers import GAUSS, front_of_panel
-from jaxir.medium._medium import AbstractMedium, Capsules
+from jaxir.medium._medium import AbstractMedium, AbstractScatterer, Capsules
 
 
 class MediumSum(AbstractMedium):
@@ -39,17 +39,10 @@ class MediumSum(AbstractMedium):
     ) -> Float[Array, "ray node"]:
         """See `AbstractMedium.radiance`. Differentiable in what the media are, to any order."""
 
-        def along(some: tuple[Array, Rays, Array]) -> Array:
-            def panel(radiance: Array, points: tuple[Array, Array]) -> tuple[Array, None]:
-                near, far = (self._layer(some[1], points[0][i], points[1]) for i in (0, 1))
-                return front_of_panel(radiance, near[0], far[0], near[1], far[1]), None
+        def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
+            return self.coefficients(rays.at(t))
 
-            return lax.scan(panel, some[2], _points(some[0]), reverse=True)[0]
-
-        cuts = self.cuts(rays, t_max)
-        meets = cuts[:, 0] < cuts[:, -1]
-        found = for_active(along, meets, (cuts, rays, behind), behind.shape[1])
-        return jnp.where(meets[:, None], found, behind)
+        return radiance_between(self.cuts(rays, t_max), rays, behind, coefficients)
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`: the product."""
@@ -76,10 +69,47 @@ class MediumSum(AbstractMedium):
         """See `AbstractMedium.scatters`."""
         return any(part.scatters for part in self.parts)
 
-    def _layer(self, rays: Rays, t: Array, half: Array) -> tuple[Array, Array]:
-        """Extinction and emission at one point of each ray, times half the length of its panel [ray, node]."""
-        extinction, emission = self.coefficients(rays.at(t))
-        return extinction * half[:, None], emission * half[:, None]
+    @property
+    def parts_with_particles(self) -> tuple[AbstractScatterer, ...]:
+        """See `AbstractMedium.parts_with_particles`."""
+        return tuple(one for part in self.parts for one in part.parts_with_particles)
+
+    def less_forward(self, shares: Sequence[Float[Array, " node"]]) -> MediumSum:
+        """See `AbstractMedium.less_forward`."""
+        left = iter(shares)
+        return MediumSum(
+            tuple(part.less_forward([next(left) for _ in part.parts_with_particles]) for part in self.parts)
+        )
+
+
+def radiance_between(
+    cuts: Float[Array, "ray cut"],
+    rays: Rays,
+    behind: Float[Array, "ray node"],
+    coefficients: Callable[[Rays, Array], tuple[Array, Array]],
+) -> Float[Array, "ray node"]:
+    """Radiance at the origins of rays whose extinction and source are smooth between cuts.
+
+    Args:
+        cuts: as `AbstractMedium.cuts`.
+        rays: the rays.
+        behind: radiance that enters them [ray, node] [W m-2 sr-1].
+        coefficients: extinction [ray, node] [m-1] and source [ray, node] [W m-3 sr-1] of rays at distances [ray] [m].
+
+    Differentiable in what `coefficients` holds and in `behind`, to any order.
+    """
+
+    def along(some: tuple[Array, Rays, Array]) -> Array:
+        def panel(radiance: Array, points: tuple[Array, Array]) -> tuple[Array, None]:
+            (near_t, far_t), half = points
+            near, far = ([x * half[:, None] for x in coefficients(some[1], t)] for t in (near_t, far_t))
+            return front_of_panel(radiance, near[0], far[0], near[1], far[1]), None
+
+        return lax.scan(panel, some[2], _points(some[0]), reverse=True)[0]
+
+    meets = cuts[:, 0] < cuts[:, -1]
+    found = for_active(along, meets, (cuts, rays, behind), behind.shape[1])
+    return jnp.where(meets[:, None], found, behind)
 
 
 def merged_cuts(each: Sequence[Float[Array, "ray _cut"]]) -> Float[Array, "ray cut"]:

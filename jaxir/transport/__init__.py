@@ -14,8 +14,10 @@ from jaxir.transport._evaluate import Orders as Orders
 from jaxir.transport._evaluate import evaluate as evaluate
 from jaxir.transport._evaluate import evaluate_orders as evaluate_orders
 from jaxir.transport._evaluate import unoccluded_radiance as unoccluded_radiance
+from jaxir.transport._evaluate import with_scattered as with_scattered
 from jaxir.transport._method import ClosedForm as ClosedForm
 from jaxir.transport._method import DirectSampling as DirectSampling
+from jaxir.transport._method import DiscreteOrdinates as DiscreteOrdinates
 from jaxir.transport._method import Method as Method
 from jaxir.transport._method import PlumeLight as PlumeLight
 from jaxir.transport._method import SkinLight as SkinLight
@@ -26,3 +28,4 @@ from jaxir.transport._paths import Segment as Segment
 from jaxir.transport._paths import Vertex as Vertex
 from jaxir.transport._trace import store_route as store_route
 from jaxir.transport._trace import trace as trace
+from jaxir.transport.ordinates import error_of_bands as error_of_bands

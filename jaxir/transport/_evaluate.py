@@ -12,20 +12,25 @@ Densities are those of the trace; scattering, T, phase, brdf and emission carry 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._math import dot
+from jaxir.geometry import Rays
 from jaxir.geometry.search import face_normal
 from jaxir.scene import Lit
 from jaxir.transport._lights import SampledLight, emitted, lights_at_particles, lights_at_skin
 from jaxir.transport._method import ClosedForm, Method
 from jaxir.transport._paths import LightSamples, Paths, Scattering, Segment, Vertex
+from jaxir.transport._trace import trace
+from jaxir.transport.ordinates import scattered
 
 
 class Orders(NamedTuple):
@@ -57,8 +62,33 @@ def evaluate(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:
 
 def evaluate_orders(lit: Lit, paths: Paths) -> Orders:
     """`evaluate`, with what the last two orders of scattering brought [ray, node]."""
+    lit = with_scattered(lit, paths.method)
     found = _along_paths(lit, paths)
     return Orders(lit.through_air(found.radiance), lit.dimmed_by_air(found.last), lit.dimmed_by_air(found.before))
+
+
+def with_scattered(lit: Lit, method: Method) -> Lit:
+    """The scene with what its particles scatter, where the method finds that on a lattice; else as it is.
+
+    Done once, it serves all paths; `evaluate` does it unless it was done.
+    """
+    if method.scattering is None or lit.medium is None or not lit.medium.scatters:
+        return lit
+    return _solved(lit, method)
+
+
+@eqx.filter_jit
+def _solved(lit: Lit, method: Method) -> Lit:
+    assert method.scattering is not None
+    alone = dataclasses.replace(method, bounces=0)
+
+    def arriving(lit: Lit, rays: Rays) -> Array:
+        paths = trace(lit.scene, rays, alone, jax.random.key(0))
+        around = jnp.ones(paths.length.shape, bool) if paths.first.sees_surroundings is None else None
+        segment = dataclasses.replace(paths.first, sees_surroundings=around)
+        return _brings(lit, paths, segment, False, True)
+
+    return eqx.tree_at(lambda lit: lit.medium, lit, scattered(lit, method.scattering, arriving))
 
 
 def _along_paths(lit: Lit, paths: Paths) -> Orders:
@@ -67,7 +97,7 @@ def _along_paths(lit: Lit, paths: Paths) -> Orders:
     dark = jnp.zeros((paths.length.shape[0], lit.nodes.count), paths.length.dtype)
     if count == 1:
         radiance = _brings(lit, paths, paths.first, True, True)
-        return Orders(radiance, radiance if lit.scene.scatters else dark, dark)
+        return Orders(radiance, radiance if method.samples_particles(lit.scene) else dark, dark)
 
     def step(state: tuple[Orders, Array], own: tuple[Segment, Array, Array]) -> tuple[tuple[Orders, Array], None]:
         (sums, throughput), (segment, first, last) = state, own
@@ -112,6 +142,8 @@ def _brings(lit: Lit, paths: Paths, segment: Segment, first: Array | bool, last:
     """A_k: what comes along segments without going on [ray, node]; `first` are those of the eye."""
     behind = behind_plumes(lit, paths.method, segment, first, last)
     brought = _through_plumes(lit, segment, behind, paths.route)
+    if paths.method.scattering is not None:
+        return brought
     for source, irradiance in zip(lit.scene.summed_beams, lit.beams, strict=True):
         assert lit.medium is not None and source.travel is not None
         cosine = dot(segment.rays.direction, -source.travel[None])

@@ -230,7 +230,7 @@ def store_route(scene: Scene, paths: Paths) -> Paths:
     Worth its memory when the same paths are evaluated many times, as in a fit. Paths of several segments are walked.
     """
     plume = scene.plume
-    if plume is None or paths.method.segments() > 1:
+    if plume is None or paths.method.segments() > 1 or paths.method.scattering is not None:
         return paths
     route = lax.stop_gradient(plume).route(paths.rays, paths.length)
     return dataclasses.replace(paths, route=route)

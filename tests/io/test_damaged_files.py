@@ -196,6 +196,7 @@ def refused(one: Format, folder: Path, rounds: int, seed: int = 0) -> int:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 warnings.filterwarnings("ignore", f".*{one.name}: .* zero area")
+                warnings.simplefilter("ignore", jaxir.PlausibilityWarning)  # which says what was read
                 one.read(path)
         except (ValueError, OSError) as error:
             assert one.name in str(error) or CONDITIONS == one.name and str(folder) in str(error), (number, error)

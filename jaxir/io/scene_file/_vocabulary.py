@@ -45,7 +45,7 @@ from jaxir.scene.light import (
     UniformBackground,
 )
 from jaxir.scene.plume import GridPlume, JetPlume
-from jaxir.transport import ClosedForm, DirectSampling, PlumeLight, SkinLight
+from jaxir.transport import ClosedForm, DirectSampling, DiscreteOrdinates, PlumeLight, SkinLight
 
 
 def combustion_gas(pressure: Any, carbon: float, hydrogen: float, equivalence_ratio: Any) -> NarrowBandGas:
@@ -215,6 +215,7 @@ READERS: dict[str, Reader] = {
     "lights": integer,
     "mole_fractions": _number_table,
     "name": text,
+    "order": integer,
     "orders": integer,
     "pair_points": integer,
     "panels": integer,
@@ -226,6 +227,7 @@ READERS: dict[str, Reader] = {
     "profile": _of(PROFILES),
     "sampler": _of(SAMPLERS),
     "samples": integer,
+    "scattering": _of({"DiscreteOrdinates": DiscreteOrdinates}),
     "shape": sizes,
     "skin_light": _of({"SkinLight": SkinLight}),
     "table": _mie,

@@ -48,7 +48,7 @@ def test_a_file_makes_the_scene_that_python_makes(tmp_path):
         np.testing.assert_array_equal(held, wanted)
     camera = jaxir.orthographic_camera(0, 0, 0.125, (16, 16))
     np.testing.assert_array_equal(read.cameras[""].frame, camera.frame)
-    assert read.bands.names == ("MWIR", "LWIR") and read.render == {"samples": 2}
+    assert read.names == ("MWIR", "LWIR") and read.render == {"samples": 2}
     assert read.signature["views"].shape == (10, 2) and read.signature["shape"] == (16, 16)
     assert "skin: 2 faces, 0 x 1 x 1 m, not closed" in read.describe()
 
@@ -73,7 +73,7 @@ def test_every_reader_is_of_a_parameter_that_exists():
     tables = {n: v for n, v in vars(vocabulary).items() if n.isupper() and isinstance(v, dict) and n not in skip}
     made = [one for table in tables.values() for one in table.values() if callable(one)]
     made += [jaxir.render, jaxir.signature, jaxir.Method, jaxir.resolved_nodes, jaxir.Grid]
-    made += [jaxir.Skin, jaxir.sensor_band, jaxir.JetPlume, load_mesh, load_flow]
+    made += [jaxir.DiscreteOrdinates, jaxir.Skin, jaxir.sensor_band, jaxir.JetPlume, load_mesh, load_flow]
     names = {name for one in made for name in inspect.signature(one).parameters}
     assert set(vocabulary.RENDER_READERS) <= names
 

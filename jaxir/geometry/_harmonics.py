@@ -1,0 +1,54 @@
+"""Functions of direction: real spherical harmonics, and a rule that integrates them over the sphere."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+def harmonics(direction: Float[Array, "*batch 3"], order: int) -> Float[Array, "*batch harmonic"]:
+    """Real spherical harmonics Y_lm of unit vectors, orthonormal over the sphere, for l = 0 .. `order`.
+
+    Degrees follow one another, each with m = -l .. l. Polynomials in x, y, z, so that no direction is singular.
+    Differentiable in `direction`.
+    """
+    x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
+    cosine, sine = [jnp.ones_like(x)], [jnp.zeros_like(x)]  # of m azimuth, times the sine of the polar angle to the m
+    for m in range(order):
+        cosine.append(cosine[m] * x - sine[m] * y)
+        sine.append(cosine[m] * y + sine[m] * x)
+    found = {}
+    for m in range(order + 1):
+        legendre = {m - 1: jnp.zeros_like(z), m: jnp.full_like(z, math.prod(range(1, 2 * m, 2)))}
+        for degree in range(m + 1, order + 1):
+            above = (2 * degree - 1) * z * legendre[degree - 1] - (degree + m - 1) * legendre[degree - 2]
+            legendre[degree] = above / (degree - m)
+        for degree in range(m, order + 1):
+            ratio = math.factorial(degree - m) / math.factorial(degree + m)
+            scale = math.sqrt((2 if m else 1) * (2 * degree + 1) / (4 * math.pi) * ratio)
+            found[degree, m] = scale * legendre[degree] * cosine[m]
+            if m:
+                found[degree, -m] = scale * legendre[degree] * sine[m]
+    return jnp.stack([found[degree, m] for degree in range(order + 1) for m in range(-degree, degree + 1)], axis=-1)
+
+
+def degrees(order: int) -> np.ndarray:
+    """The degree l of every harmonic [harmonic]."""
+    return np.concatenate([np.full(2 * degree + 1, degree) for degree in range(order + 1)])
+
+
+def sphere_rule(polar: int) -> tuple[np.ndarray, np.ndarray]:
+    """Directions [direction, 3] and weights [direction] [sr] of an integral over the sphere.
+
+    Gauss-Legendre in the cosine of the polar angle, `polar` of them, times 2 `polar` azimuths in equal steps: exact
+    for harmonics up to the degree 2 `polar` - 1.
+    """
+    cosine, weight = np.polynomial.legendre.leggauss(polar)
+    azimuth = (np.arange(2 * polar) + 0.5) * np.pi / polar
+    sine = np.sqrt(1 - cosine**2)
+    z = np.broadcast_to(cosine[:, None], (polar, 2 * polar))
+    direction = np.stack([sine[:, None] * np.cos(azimuth), sine[:, None] * np.sin(azimuth), z], axis=-1)
+    return direction.reshape(-1, 3), np.repeat(weight * np.pi / polar, 2 * polar)

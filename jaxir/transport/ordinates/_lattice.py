@@ -1,0 +1,97 @@
+"""The lattice on which scattered light is solved: its points in a medium's cube, and what lies between them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxir._arrays import as_float
+from jaxir.medium import AbstractScatterer
+from jaxir.transport._method import DiscreteOrdinates
+
+FINER = 3  # points of the lattice that is read for each of that which is solved
+INSET = 1e-3  # of the cube's edges, by which the outer points lie inside
+
+
+class Lattice(NamedTuple):
+    """Points of a medium's cube: those that are solved for, those that are read, and the way from one to the other."""
+
+    solved: tuple[int, int, int]
+    read: tuple[int, int, int]
+    cubics: tuple[np.ndarray, ...]
+
+
+def lattice_of(medium: AbstractScatterer, ordinates: DiscreteOrdinates) -> Lattice:
+    solved = medium.lattice(ordinates.along, ordinates.across)
+    cubics = tuple(_cubic(count) for count in solved)
+    read = tuple(len(matrix) for matrix in cubics)
+    return Lattice(solved, (read[0], read[1], read[2]), cubics)
+
+
+def _cubic(count: int) -> np.ndarray:
+    """Values between `count` even points from those at them [read, solved], by a cubic spline."""
+    return _spline(np.arange(count), np.arange(FINER * (count - 1) + 1) / FINER)
+
+
+def _spline(given: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """The matrix [asked, given] of a spline, cubic where there are points enough."""
+    from scipy.interpolate import make_interp_spline  # which takes long to import
+
+    return make_interp_spline(given, np.eye(len(given)), k=min(3, len(given) - 1))(asked)
+
+
+def places(counts: tuple[int, ...]) -> np.ndarray:
+    """Places of a lattice in the unit cube [point, 3]."""
+    each = [INSET + (1 - 2 * INSET) * np.linspace(0, 1, count) for count in counts]
+    return np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def refined(lattice: Lattice, table: Float[Array, "point *more"]) -> Float[Array, "read *more"]:
+    """A table at the points that are read."""
+    whole = table.reshape(*lattice.solved, -1)
+    for axis, matrix in enumerate(lattice.cubics):
+        whole = jnp.moveaxis(jnp.tensordot(as_float(matrix), whole, axes=(1, axis)), 0, axis)
+    return whole.reshape(-1, *table.shape[1:])
+
+
+class Between(NamedTuple):
+    """The eight points of a lattice about a place, and their shares [ray, 8]."""
+
+    point: Array
+    share: Array
+
+    def read(self, table: Float[Array, "read *more"]) -> Float[Array, "ray *more"]:
+        """A table there."""
+        shares = self.share.reshape(self.share.shape + (1,) * (table.ndim - 1))
+        return sum(
+            (shares[:, k] * table[self.point[:, k]] for k in range(1, 8)), shares[:, 0] * table[self.point[:, 0]]
+        )
+
+
+def about(counts: tuple[int, ...], place: Float[Array, "ray 3"]) -> Between:
+    last = np.array(counts) - 1
+    inner = jnp.clip((place - INSET) / (1 - 2 * INSET), 0, 1) * as_float(last)[None]
+    low = jnp.clip(inner.astype(jnp.int32), 0, jnp.asarray(last - 1, jnp.int32)[None])
+    high = inner - low.astype(inner.dtype)
+    points, shares = [], []
+    for corner in np.ndindex(2, 2, 2):
+        x, y, z = (low[:, axis] + side for axis, side in enumerate(corner))
+        points.append((x * counts[1] + y) * counts[2] + z)
+        a, b, c = (high[:, axis] if side else 1 - high[:, axis] for axis, side in enumerate(corner))
+        shares.append(a * b * c)
+    return Between(jnp.stack(points, axis=1), jnp.stack(shares, axis=1))
+
+
+def unresolved(lattice: Lattice, table: Float[Array, "point harmonic node"]) -> Float[Array, " node"]:
+    """See `Scattered.error`, of the mean radiance."""
+    whole = mean = table[:, 0].reshape(*lattice.solved, -1)
+    for axis, count in enumerate(lattice.solved):
+        place = np.unique(np.append(np.arange(0, count, 2), count - 1))
+        spline = _spline(place, np.arange(count))
+        half = jnp.take(whole, place, axis=axis)
+        whole = jnp.moveaxis(jnp.tensordot(as_float(spline), half, axes=(1, axis)), 0, axis)
+    size = jnp.sum(jnp.abs(mean), axis=(0, 1, 2))
+    return jnp.sum(jnp.abs(whole - mean), axis=(0, 1, 2)) / jnp.where(size > 0, size, 1) / 8

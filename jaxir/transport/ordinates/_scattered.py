@@ -1,0 +1,306 @@
+"""Scattered light without samples: the radiance in a plume on a lattice, by discrete ordinates.
+
+In a plume with scattering coefficient s and phase function p light of radiance L(x, w') is scattered into w by
+
+    J(x, w) = s integral p(w . w') L(x, w') dw' = s sum_l chi_l sum_m L_lm(x) Y_lm(w),
+
+L_lm being the coefficients of L in spherical harmonics and chi_l the Legendre moments of p. They solve
+
+    L_lm = L0_lm + K L_lm,
+
+L0 being what arrives at x without having been scattered in the plume, and K the transport of J along rays from the
+lattice's points, in the directions of a rule over the sphere. A Krylov method solves it, however often light is
+scattered. L is then known along every other ray by one integral, `Scattered.radiance`.
+
+Of a forward lobe the share f = chi_(order + 1) is taken as not scattered (Wiscombe, "The delta-M method", J. Atmos.
+Sci. 34, 1977), and light of sources without extent is scattered once with the whole phase function (Nakajima and
+Tanaka, JQSRT 40, 1988). Between the lattice's points L_lm is interpolated by cubics, and the optical depth towards
+sources linearly on a lattice `FINER` times as fine.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxir._arrays import as_float
+from jaxir.geometry import Rays, degrees, harmonics, sphere_rule
+from jaxir.geometry.search import any_hit, closest_hit
+from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, merged_cuts, radiance_between
+from jaxir.optics import phi1
+from jaxir.scene import Lit
+from jaxir.scene.light import AbstractDeltaSource
+from jaxir.transport._method import DiscreteOrdinates
+from jaxir.transport.ordinates._lattice import Between, Lattice, about, lattice_of, places, refined, unresolved
+
+MORE = 3  # polar angles of the rule than the highest degree; one rule for all that arrives, or a furnace is none
+STEPS = 12  # points of a ray between the lattice's points, nearer to one another near its own
+MOST = 2**29  # numbers that transport may keep
+TOLERANCE = 1e-5  # of the residual
+ITERATIONS = 200
+
+
+class _Beam(eqx.Module):
+    """A source without extent as seen from the points that are read: optical depth [point, node], and whether."""
+
+    source: AbstractDeltaSource
+    depth: Float[Array, "point node"]
+    seen: Float[Array, "point 1"]
+
+    def arriving(self, between: Between, point: Float[Array, "ray 3"]) -> tuple[Array, Array]:
+        """Irradiance [ray, node] [W m-2] and the direction towards the source [ray, 3]."""
+        omega, _ = jax.vmap(self.source.toward)(point)
+        passed = jnp.exp(-between.read(self.depth)) * between.read(self.seen)
+        return jax.vmap(self.source.beam)(point) * passed, omega
+
+
+class _Part(eqx.Module):
+    """One of `AbstractMedium.parts_with_particles` and the light in it.
+
+    Attributes:
+        medium: without its forward lobe.
+        kept: share of scattering that is not forward [node].
+        moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
+        beams: of all sources without extent.
+    """
+
+    medium: AbstractScatterer
+    kept: Float[Array, " node"]
+    moments: Float[Array, "read harmonic node"]
+    beams: tuple[_Beam, ...]
+    counts: tuple[int, int, int] = eqx.field(static=True)
+
+    def source(self, point: Array, direction: Array, toward: Float[Array, "ray harmonic"]) -> Float[Array, "ray node"]:
+        """J of rays in `direction` at points [ray, node] [W m-3 sr-1]; `toward` are harmonics of where light goes."""
+        between = about(self.counts, self.medium.to_cube(point))
+        found = jnp.sum(between.read(self.moments) * toward[:, :, None], axis=1)
+        phase = self.medium.lobe
+        assert phase is not None
+        for beam in self.beams:
+            irradiance, omega = beam.arriving(between, point)
+            lobe = jax.vmap(phase.eval)(jnp.sum(omega * direction, axis=-1))
+            found = found + lobe / self.kept[None] * irradiance
+        return self.medium.scattering_at(point) * found
+
+
+class Scattered(AbstractMedium):
+    """A medium with the light that its particles scatter, however often, as part of its emission.
+
+    Attributes:
+        medium: without forward lobes.
+        parts: what scatters in it.
+        order: highest degree of harmonics.
+        error: estimated share [node] that the lattice lacks of what is scattered: how far cubics between every second
+            of its points are from the others, an eighth of it.
+        residual: what the solution lacks of the equation, as a share of its first term [node].
+    """
+
+    medium: AbstractMedium
+    parts: tuple[_Part, ...]
+    order: int = eqx.field(static=True)
+    error: Float[Array, " node"]
+    residual: Float[Array, ""]
+
+    def radiance(
+        self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
+    ) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.radiance`, of emission and scattered light."""
+
+        def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
+            point, toward = rays.at(t), harmonics(-rays.direction, self.order)
+            extinction, source = self.medium.coefficients(point)
+            for part in self.parts:
+                source = source + part.source(point, rays.direction, toward)
+            return extinction, source
+
+        return radiance_between(self.cuts(rays, t_max), rays, behind, coefficients)
+
+    def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.transmittance`; what is scattered forward passes."""
+        return self.medium.transmittance(rays, t_max)
+
+    def scattering(self, point: Float[Array, "ray 3"], cosine: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.scattering`."""
+        return self.medium.scattering(point, cosine)
+
+    def cuts(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
+        """See `AbstractMedium.cuts`."""
+        return self.medium.cuts(rays, t_max)
+
+    def coefficients(self, point: Float[Array, "ray 3"]) -> tuple[Float[Array, "ray node"], Float[Array, "ray node"]]:
+        """See `AbstractMedium.coefficients`, without scattered light."""
+        return self.medium.coefficients(point)
+
+    def capsules(self) -> Capsules:
+        """See `AbstractMedium.capsules`."""
+        return self.medium.capsules()
+
+    @property
+    def scatters(self) -> bool:
+        """See `AbstractMedium.scatters`: by itself."""
+        return False
+
+    @property
+    def parts_with_particles(self) -> tuple[AbstractScatterer, ...]:
+        """See `AbstractMedium.parts_with_particles`: none that has not been dealt with."""
+        return ()
+
+    def less_forward(self, shares: Any) -> AbstractMedium:
+        """See `AbstractMedium.less_forward`."""
+        return self
+
+
+def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays], Array]) -> Scattered:
+    """Solve for the light in the plumes of a scene.
+
+    Args:
+        lit: the scene on the nodes.
+        ordinates: how finely.
+        arriving: radiance at the origins of rays in a scene whose particles do not scatter [ray, node].
+
+    Returns:
+        The medium with its scattered light.
+
+    Raises:
+        ValueError: more numbers than `MOST` would be kept.
+
+    Differentiable, in both modes, in all that `lit` is differentiable in: the equation's solution has its own rule.
+    """
+    assert lit.medium is not None
+    order, nodes = ordinates.order, lit.nodes.count
+    moments = [_moments(part, order, nodes) for part in lit.medium.parts_with_particles]
+    medium = lit.medium.less_forward([forward for forward, _ in moments])
+    lit = eqx.tree_at(lambda lit: lit.medium, lit, medium)
+    parts, lattices = medium.parts_with_particles, [lattice_of(p, ordinates) for p in medium.parts_with_particles]
+    sizes = [math.prod(lattice.solved) for lattice in lattices]
+    point = jnp.concatenate([p.from_cube(as_float(places(x.solved))) for p, x in zip(parts, lattices, strict=True)])
+    direction, weight = (as_float(x) for x in sphere_rule(order + MORE))
+    need = len(direction) * sum(sizes) * STEPS * nodes * len(parts) ** 2
+    if need > MOST:
+        raise ValueError(
+            f"DiscreteOrdinates: got {need:.2g} numbers to keep, expected at most {MOST:.2g}; take fewer points "
+            "(along, across), a lower order or fewer spectral nodes"
+        )
+    lobes = harmonics(direction, order)
+
+    by_direction = weight[:, None] * lobes
+
+    def ahead(total: Array, own: tuple[Array, Array]) -> tuple[Array, list[tuple[Between, Array]]]:
+        rays = Rays(point, jnp.broadcast_to(-own[0], point.shape))
+        came = own[1][None, :, None] * arriving(lit, rays)[:, None]
+        return total + came, _ahead(medium, list(zip(parts, lattices, strict=True)), rays, _length(lit, rays))
+
+    none = jnp.zeros((point.shape[0], lobes.shape[1], nodes), point.dtype)
+    unscattered, routes = lax.scan(ahead, none, (direction, by_direction))
+
+    def split(table: Array) -> list[Array]:
+        return jnp.split(table, np.cumsum(sizes)[:-1].tolist())
+
+    def transported(table: Array) -> Array:
+        """K of coefficients [point, harmonic, node]."""
+        sent = [part * chi[None] for part, (_, chi) in zip(split(table), moments, strict=True)]
+
+        def one(total: Array, own: tuple) -> tuple[Array, None]:
+            ways, lobe, share = own
+            came = jnp.zeros_like(table[:, 0])
+            for (between, passed), lattice, part in zip(ways, lattices, sent, strict=True):
+                into = refined(lattice, jnp.einsum("phn,h->pn", part, lobe))
+                read = between.read(into).reshape(passed.shape)
+                came = came + jnp.sum(read * passed, axis=1)
+            return total + share[None, :, None] * came[:, None], None
+
+        return lax.scan(one, jnp.zeros_like(table), (routes, lobes, by_direction))[0]
+
+    beams = [
+        tuple(_beam(lit, medium, part, lattice, source) for source in lit.scene.delta_sources)
+        for part, lattice in zip(parts, lattices, strict=True)
+    ]
+    begin = unscattered
+    if lit.scene.delta_sources:
+        straight = [_of_beams(*each, order) for each in zip(parts, lattices, beams, strict=True)]
+        begin = begin + transported(jnp.concatenate(straight))
+    scale = jnp.max(jnp.abs(begin), axis=(0, 1))
+    scale = lax.stop_gradient(jnp.where(scale > 0, scale, 1))[None, None]
+
+    def lacking(table: Array) -> Array:
+        return table - transported(table)
+
+    solution, _ = jax.scipy.sparse.linalg.bicgstab(lacking, begin / scale, tol=TOLERANCE, maxiter=ITERATIONS)
+    rest = jnp.max(jnp.abs(lax.stop_gradient(lacking(solution) - begin / scale)))
+    each = [table * scale for table in split(solution)]
+    held = tuple(
+        _Part(part, 1 - forward, refined(lattice, table * chi[None]), own, lattice.read)
+        for part, lattice, table, own, (forward, chi) in zip(parts, lattices, each, beams, moments, strict=True)
+    )
+    error = jnp.max(jnp.stack([unresolved(*x) for x in zip(lattices, each, strict=True)]), axis=0)
+    return Scattered(medium, held, order, lax.stop_gradient(error), rest)
+
+
+def _moments(medium: AbstractScatterer, order: int, nodes: int) -> tuple[Float[Array, " node"], Array]:
+    """The share that is scattered straight on [node], and the moments of the rest [harmonic, node]."""
+    assert medium.lobe is not None
+    chi = jnp.broadcast_to(medium.lobe.moments(order + 1), (order + 2, nodes))
+    forward = jnp.maximum(chi[-1], 0)  # a lobe backward is none forward
+    return forward, ((chi[:-1] - forward[None]) / (1 - forward)[None])[degrees(order)]
+
+
+def _length(lit: Lit, rays: Rays) -> Float[Array, " ray"]:
+    """How far rays from the lattice go [ray] [m]."""
+    if lit.scene.skin is None:
+        return jnp.full(rays.count, jnp.inf, rays.origin.dtype)
+    return closest_hit(lit.scene.skin.mesh, lax.stop_gradient(rays)).t
+
+
+def _ahead(
+    medium: AbstractMedium, parts: list[tuple[AbstractScatterer, Lattice]], rays: Rays, length: Array
+) -> list[tuple[Between, Array]]:
+    """How rays from the lattice's points read what is scattered on their way: where, and with which weight."""
+    share = as_float((np.arange(STEPS + 1) / STEPS) ** 2)
+    cuts = [part.cuts(rays, length) for part, _ in parts]
+    edge = merged_cuts([own[:, :1] + (own[:, -1:] - own[:, :1]) * share[None] for own in cuts])
+    step, middle = jnp.diff(edge, axis=1), (edge[:, 1:] + edge[:, :-1]) / 2
+    at = (rays.origin[:, None] + middle[..., None] * rays.direction[:, None]).reshape(-1, 3)
+    layer = medium.coefficients(at)[0].reshape(*step.shape, -1) * step[..., None]
+    before = jnp.cumsum(layer, axis=1) - layer
+    sent = jnp.exp(-before) * phi1(layer) * step[..., None]
+    return [
+        (about(lattice.read, part.to_cube(at)), sent * part.scattering_at(at).reshape(sent.shape))
+        for part, lattice in parts
+    ]
+
+
+def _beam(lit: Lit, medium: AbstractMedium, part: AbstractScatterer, lattice: Lattice, source: Any) -> _Beam:
+    """A source as seen from the points that are read."""
+    point = part.from_cube(as_float(places(lattice.read)))
+    omega, distance = jax.vmap(source.toward)(point)
+    passed = medium.transmittance(Rays(point, omega), distance)
+    depth = -jnp.log(jnp.maximum(passed, jnp.finfo(passed.dtype).tiny))  # beyond it nothing is left
+    seen = jnp.ones((point.shape[0], 1), point.dtype)
+    if lit.scene.skin is not None:
+        hidden = any_hit(lit.scene.skin.mesh, lax.stop_gradient(Rays(point, omega)), t_max=lax.stop_gradient(distance))
+        seen = jnp.where(hidden[:, None], 0, seen)
+    return _Beam(source, depth, seen)
+
+
+def _of_beams(part: AbstractScatterer, lattice: Lattice, beams: tuple[_Beam, ...], order: int) -> Array:
+    """Coefficients of the light that comes straight from sources without extent [point, harmonic, node]."""
+    place = as_float(places(lattice.solved))
+    point, between = part.from_cube(place), about(lattice.read, place)
+    each = [beam.arriving(between, point) for beam in beams]
+    return functools.reduce(jnp.add, [harmonics(-omega, order)[:, :, None] * light[:, None] for light, omega in each])
+
+
+def error_of_bands(lit: Lit) -> Float[Array, " band"] | None:
+    """`Scattered.error` by band, as a share of what is scattered [band]; None where nothing was solved for."""
+    if not isinstance(lit.medium, Scattered):
+        return None
+    return lit.nodes.in_band(lit.medium.error) / lit.nodes.in_band(jnp.ones_like(lit.medium.error))

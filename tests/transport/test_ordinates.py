@@ -1,0 +1,187 @@
+"""Scattered light solved on a lattice: a furnace, symmetries, forced collision, derivatives."""
+
+import dataclasses
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import eval_legendre
+
+import jaxir
+from jaxir import DiscreteOrdinates, Method
+from jaxir.geometry import degrees, harmonics, sphere_rule
+from jaxir.optics.spectrum import gray_nodes
+from jaxir.transport import with_scattered
+
+COARSE = Method(scattering=DiscreteOrdinates(7, 5, 2))
+
+
+def box(extinction, albedo, phase, temperature=600.0, absorption=0.0, cells=4):
+    """A cube of 2 m."""
+    grid = jaxir.Grid((-1.0, -1.0, -1.0), (2 / cells,) * 3, (cells,) * 3)
+    return jaxir.GridPlume(grid, temperature, jaxir.GrayGas(absorption), jaxir.GrayParticles(extinction, albedo, phase))
+
+
+def jet(exit_temperature=900.0):
+    particles = jaxir.GrayParticles(2.0, 0.9, jaxir.HenyeyGreenstein(0.5))
+    axis, gas = (-1.0, 0.0, 0.0), jaxir.GrayGas(0.3)
+    return jaxir.JetPlume(
+        (0.0, 0.0, 0.0), axis, 0.6, exit_temperature, 250.0, gas, length=12.0, panels=6, particles=particles
+    )
+
+
+def rays_through(count, towards=(0.3, 0.9, -0.2), about=(0.0, 0.0, 0.0), width=1.6, seed=0):
+    """Parallel rays through a square about a point."""
+    w = np.asarray(towards) / np.linalg.norm(towards)
+    side = np.linalg.svd(w[None])[2][1:]
+    place = (np.random.default_rng(seed).uniform(size=(count, 2)) - 0.5) * width
+    origin = np.asarray(about) - 20 * w + place @ side
+    return jaxir.Rays(jnp.asarray(origin), jnp.broadcast_to(jnp.asarray(w), origin.shape))
+
+
+@eqx.filter_jit
+def look(scene, rays, method, key=None):
+    return jaxir.evaluate(scene.on(gray_nodes((jaxir.MWIR,))), jaxir.trace(scene, rays, method, key))
+
+
+@pytest.mark.parametrize("order", [1, 4])
+def test_harmonics_are_orthonormal_and_add(x64, order):
+    """integral Y_i Y_j = delta_ij, and sum_m Y_lm(a) Y_lm(b) = (2 l + 1) / 4 pi P_l(a . b)."""
+    direction, weight = sphere_rule(order + 1)
+    values = np.asarray(harmonics(jnp.asarray(direction), order))
+    np.testing.assert_allclose(values.T * weight @ values, np.eye((order + 1) ** 2), atol=1e-12)
+    a, b = values[:3], values[3:6]
+    cosine = np.sum(direction[:3] * direction[3:6], axis=1)
+    for degree in range(order + 1):
+        own = degrees(order) == degree
+        expected = (2 * degree + 1) / (4 * np.pi) * eval_legendre(degree, cosine)
+        np.testing.assert_allclose((a * b)[:, own].sum(axis=1), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("g", [0.0, 0.5, 0.95, -0.9])
+def test_moments_of_henyey_and_greenstein_are_powers(precision, g):
+    got = np.asarray(jaxir.HenyeyGreenstein(g).moments(6))[:, 0]
+    np.testing.assert_allclose(got, g ** np.arange(7), rtol=1e-5, atol=2e-6)
+
+
+def test_moments_of_a_table(x64):
+    """Against the trapezoidal rule between its samples, a thousand points each."""
+    cosine = np.cos(np.linspace(np.pi, 0, 91))
+    phase = jaxir.TabulatedPhase(cosine, np.exp(3 * cosine))
+    fine = np.unique(np.concatenate([np.linspace(a, b, 1001) for a, b in itertools.pairwise(cosine)]))
+    value = np.interp(fine, cosine, np.asarray(phase.value)[0])
+    exact = [2 * np.pi * np.trapezoid(value * eval_legendre(degree, fine), fine) for degree in range(5)]
+    np.testing.assert_allclose(np.asarray(phase.moments(4))[:, 0], exact, rtol=1e-4)
+
+
+@pytest.mark.parametrize("asymmetry", [0.0, 0.8])
+def test_furnace(x64, asymmetry):
+    """Gas and particles as warm as all around them look like a black body, however light is scattered."""
+    black = jaxir.band_radiance(jnp.asarray(600.0), gray_nodes((jaxir.MWIR,)))
+    scene = jaxir.Scene(
+        None,
+        box(2.0, 0.9, jaxir.HenyeyGreenstein(asymmetry), absorption=0.3),
+        background=jaxir.UniformBackground(black),
+    )
+    got = look(scene, rays_through(50), COARSE)
+    np.testing.assert_allclose(got, np.broadcast_to(black, got.shape), rtol=1e-4)
+
+
+def test_agrees_with_forced_collision():
+    """A jet with a forward lobe, hot or lit by the sun: the mean over rays within errors and 2 % of the lattice's."""
+    for scene in (
+        jaxir.Scene(None, jet()),
+        jaxir.Scene(None, jet(300.0), jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0)),
+    ):
+        rays = rays_through(4000, about=(-3.0, 0.0, 0.0), width=4.0)
+        sampled = np.asarray(
+            [look(scene, rays, Method(orders=12), jax.random.key(k)).mean() for k in range(8)], np.float64
+        )
+        solved = float(look(scene, rays, Method(scattering=DiscreteOrdinates(17, 7))).mean())
+        error = sampled.std(ddof=1) / np.sqrt(len(sampled))
+        assert error < 0.01 * solved
+        assert abs(solved - sampled.mean()) < 3 * error + 0.02 * solved
+        without = float(look(scene, rays, Method(orders=0)).mean())
+        assert without < 0.8 * solved  # what is tested is there
+
+
+def test_derivatives_are_those_of_the_solution(x64):
+    """By temperature, loading and albedo, in both modes, against central differences."""
+    rays = rays_through(40)
+
+    def mean(values):
+        temperature, extinction, albedo = values
+        plume = box(extinction, albedo, jaxir.HenyeyGreenstein(0.5), temperature, absorption=0.2, cells=2)
+        return look(jaxir.Scene(None, plume), rays, COARSE).mean()
+
+    at = jnp.array([600.0, 1.5, 0.8])
+    reverse, forward = np.asarray(jax.grad(mean)(at)), np.asarray(jax.jacfwd(mean)(at))
+    np.testing.assert_allclose(forward, reverse, rtol=1e-5)
+    for i, step in enumerate((0.1, 1e-3, 1e-3)):
+        apart = jnp.zeros(3).at[i].set(step)
+        np.testing.assert_allclose(reverse[i], (mean(at + apart) - mean(at - apart)) / (2 * step), rtol=1e-4)
+
+
+def test_plumes_apart_do_not_disturb_one_another():
+    """So far apart that no ordinate of one meets the other."""
+    far = dataclasses.replace(jet(), nozzle=jnp.array([0.0, 400.0, 90.0]))
+    rays = rays_through(100, (0.0, 0.1, -1.0), about=(-2.0, 0.0, 0.0))
+    alone = look(jaxir.Scene(None, jet()), rays, COARSE)
+    both = look(jaxir.Scene(None, (jet(), far)), rays, COARSE)
+    assert np.asarray(alone).max() > 0
+    np.testing.assert_allclose(both, alone, rtol=3e-3, atol=1e-4 * float(alone.max()))
+
+
+def test_skin_shades_the_plume():
+    """A plate between sun and plume: what is left is what the plume emits and what reaches it from the plate."""
+    plate = jaxir.Mesh([[-9.0, -9, 3], [9, -9, 3], [9, 9, 3], [-9, 9, 3]], [[0, 1, 2], [0, 2, 3]])
+    cold = jaxir.Skin(plate, 50.0, jaxir.Lambert(1.0))
+    sun = jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0)
+    rays = rays_through(50, (1.0, 0.2, 0.0))
+    plume = box(1.0, 0.9, jaxir.Isotropic(), 50.0)
+    lit, shaded = (look(jaxir.Scene(skin, plume, sun), rays, COARSE) for skin in (None, cold))
+    assert float(shaded.mean()) < 1e-3 * float(lit.mean())
+
+
+def test_images_have_no_noise_of_it_and_tell_what_is_left():
+    """Rays of one pixel differ by where they are alone; the estimate of the lattice's error stands in the budget."""
+    scene = jaxir.Scene(None, box(1.0, 0.9, jaxir.Isotropic()))
+    camera = jaxir.orthographic_camera(0, 0, 0.3, (8, 8))
+    images = [jaxir.render(scene, camera, [jaxir.MWIR], samples=8, method=m) for m in (COARSE, Method(orders=6))]
+    solved, sampled = (float(image.intensity_error()[0] / image.radiant_intensity()[0]) for image in images)
+    assert solved < sampled
+    assert images[0].orders is None
+    assert 0 < float(images[0].truncation[0]) < 0.05
+    budget = images[0].error_budget()
+    np.testing.assert_allclose(budget.truncation, images[0].truncation * images[0].radiant_intensity(), rtol=1e-6)
+
+
+def test_solving_once_serves_all_paths():
+    scene = jaxir.Scene(None, box(1.0, 0.9, jaxir.Isotropic()))
+    rays = rays_through(20)
+
+    @eqx.filter_jit
+    def once(scene):
+        lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), COARSE)
+        assert with_scattered(lit, COARSE) is lit
+        return lit.medium.residual, jaxir.evaluate(lit, jaxir.trace(scene, rays, COARSE))
+
+    residual, got = once(scene)
+    assert float(residual) < 1e-4
+    np.testing.assert_allclose(got, look(scene, rays, COARSE), rtol=1e-5)
+
+
+def test_what_it_is_not_for_is_refused():
+    plume = box(1.0, 0.9, jaxir.Isotropic())
+    disc = jaxir.DiscSource((0.0, 0.0, 5.0), (0.0, 0.0, -1.0), 1.0, 10.0)
+    camera = jaxir.orthographic_camera(0, 0, 0.3, (8, 8))
+    with pytest.raises(ValueError, match="DiscreteOrdinates: got a DiscSource, expected sources without extent"):
+        jaxir.render(jaxir.Scene(None, plume, disc), camera, [jaxir.MWIR], method=COARSE)
+    huge = Method(scattering=DiscreteOrdinates(400, 400))
+    with pytest.raises(ValueError, match="DiscreteOrdinates: got .* numbers to keep, expected at most"):
+        jaxir.render(jaxir.Scene(None, plume), camera, [jaxir.MWIR], method=huge)
+    with pytest.raises(ValueError, match="DiscreteOrdinates.along: got 3, expected an integer >= 4"):
+        DiscreteOrdinates(along=3)
