@@ -10,6 +10,7 @@ from chi_square import direction_grid, p_value
 from jaxir._arrays import enforce
 from jaxir._math import frame_around
 from jaxir.optics.surface import BrdfPerFace, BrdfTable, Lambert, RoughConductor, SandfordRobertson
+from jaxir.optics.surface._fresnel import conductor_reflectance
 from jaxir.optics.surface._ggx import _loss, _single_scattering
 
 FACE = np.int32(0)
@@ -177,6 +178,14 @@ def test_values_and_gradients_are_finite_everywhere(name, precision):
         assert np.all(np.isfinite(leaf))
 
 
+@pytest.mark.parametrize("narrowest", [RoughConductor(3.0, 8.0, 1e-4), SandfordRobertson(0.3, 0.1, 1e-4, 0.2)])
+def test_the_narrowest_lobe_has_finite_slopes_at_its_peak(narrowest):
+    cos = np.array([1.0, 0.9, 0.3, 1e-2, 1e-4])
+    views = jnp.asarray(np.array([towards(c) for c in cos] + [towards(c, 0.3 + np.pi) for c in cos]), jnp.float32)
+    for leaf in jax.tree.leaves(all_slopes(narrowest.at(jnp.asarray(FACE)), views, jnp.clip(views[:, 2], 0, 1))):
+        assert np.all(np.isfinite(leaf))
+
+
 @pytest.mark.parametrize("kind", ["paint", "metal rough", "table"])
 def test_parameter_gradients_agree_with_differences(kind, x64):
     brdf = BRDFS[kind]()
@@ -215,6 +224,34 @@ def test_a_smooth_metal_obeys_fresnel():
     assert got == pytest.approx(4 * n / ((n + 1) ** 2 + k**2), rel=5e-3)
 
 
+def test_fresnel_reflectance_where_next_to_nothing_reflects():
+    """Single precision against complex arithmetic in double, at interfaces to nearly vacuum and to metals."""
+    rng = np.random.default_rng(1)
+    index = np.concatenate([1 + rng.normal(size=2000) * 10 ** rng.uniform(-7, -1, 2000), rng.uniform(1, 30, 2000)])
+    extinction, cos = 10 ** rng.uniform(-7, 2, 4000), rng.uniform(0, 1, 4000)
+    n, k, c = (x.astype(np.float32) for x in (index, extinction, cos))
+    m, c64 = n.astype(np.float64) - 1j * k.astype(np.float64), c.astype(np.float64)
+    q = np.sqrt(m * m - (1 - c64**2))
+    expected = (abs((c64 - q) / (c64 + q)) ** 2 + abs((m * m * c64 - q) / (m * m * c64 + q)) ** 2) / 2
+    inside = n > 1.0  # total reflection has an onset
+    got = conductor_reflectance(*(jnp.asarray(x[inside]) for x in (c, n, k)))
+    assert got.dtype == jnp.float32 and np.all(np.asarray(got) >= 0)
+    np.testing.assert_allclose(got, expected[inside], rtol=1e-5)
+
+
+@pytest.mark.parametrize("roughness", [1e-4, 0.1, 1.0])
+def test_no_metal_reflects_less_than_nothing(roughness):
+    """At the index of vacuum next to nothing is reflected; 1 less what is absorbed was -5e-6 of it."""
+    rng = np.random.default_rng(2)
+    cos_i, cos_o, turn = rng.uniform(0, 1, 200), rng.uniform(0, 1, 200), rng.uniform(0, 2 * np.pi, 200)
+    into, out = (jnp.asarray(np.array(towards(c, t)).T, jnp.float32) for c, t in ((cos_i, turn), (cos_o, 0 * turn)))
+    for extinction in (0.0, 1e-6, 1e-4):
+        clear = RoughConductor(1.0, extinction, roughness).at(jnp.asarray(FACE))
+        eval_each = jax.vmap(clear.eval, in_axes=(0, 0, None))
+        assert np.all(np.asarray(eval_each(into, out, jnp.asarray([0.0, 0.0, 1.0]))) >= 0)
+        assert np.all(np.asarray(jax.vmap(clear.directional_reflectance)(out[:, 2])) >= 0)
+
+
 def test_shapes_and_ranges_are_checked():
     with pytest.raises(ValueError, match="Lambert.emissivity: got shape"):
         Lambert(np.zeros((2, 3, 4)))
@@ -223,7 +260,9 @@ def test_shapes_and_ranges_are_checked():
     with pytest.raises(ValueError, match="grazing"):
         enforce(jnp.zeros(1), SandfordRobertson(0.9, 0.05, 0.2, 0.9).checks())
     with pytest.raises(ValueError, match="roughness"):
-        enforce(jnp.zeros(1), RoughConductor(1.0, 1.0, 0.0).checks())
+        enforce(jnp.zeros(1), RoughConductor(1.0, 1.0, 1e-5).checks())
+    with pytest.raises(ValueError, match="SandfordRobertson.lobe_width: got 1e-07"):
+        enforce(jnp.zeros(1), SandfordRobertson(0.3, 0.1, 1e-7, 0.2).checks())
     with pytest.raises(ValueError, match="BrdfPerFace.kind"):
         BrdfPerFace([Lambert(0.1)], [0, 1])
     with pytest.raises(ValueError, match="expected 1 or 3"):

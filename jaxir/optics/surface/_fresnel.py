@@ -33,13 +33,8 @@ def conductor_absorptance(
     Differentiable in all three, except at total reflection's onset (n < 1, k = 0).
     """
     square = 1 - cos * cos
-    product = 2 * index * extinction
-    real = (index - extinction) * (index + extinction) - square
-    modulus = safe_sqrt(real * real + product * product)
-    dense = real >= 0
-    spread = jnp.where(dense, modulus + real, modulus - real)
-    twice = jnp.where(dense, spread, safe_divide(product * product, spread))
-    slope = cos * safe_sqrt(2 * twice)  # 2 a cos
+    a, modulus, _, _ = _refracted(cos, index, extinction)
+    slope = 2 * a * cos
     across = modulus + cos * cos
     absorbed_s = safe_divide(2 * slope, across + slope)
     along = cos * cos * modulus + square * square
@@ -47,3 +42,39 @@ def conductor_absorptance(
     ratio = safe_divide(2 * tilt, along + tilt)
     absorbed_p = absorbed_s + (1 - absorbed_s) * ratio
     return (absorbed_s + absorbed_p) / 2
+
+
+def conductor_reflectance(
+    cos: Float[Array, "*batch"], index: Float[Array, "*batch"], extinction: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """R of unpolarised light at the same medium, never below 0 and with all its digits where next to nothing reflects.
+
+    With a, w and D of `conductor_absorptance` and b = n k / a,
+
+        R_s = ((a - c)^2 + b^2) / (w + c^2 + 2 a c),     a - c = ((n - 1)(n + 1) - k^2 + b^2) / (a + c),
+        R_p = R_s ((a c - s2)^2 + b^2 c^2) / (c^2 w + s2^2 + 2 a c s2)
+
+    Arguments and derivatives as there.
+    """
+    square = 1 - cos * cos
+    a, modulus, excess, b2 = _refracted(cos, index, extinction)
+    slope = 2 * a * cos
+    step = safe_divide(excess + b2, a + cos)
+    r_s = safe_divide(step * step + b2, modulus + cos * cos + slope)
+    tilt = a * cos - square
+    along = cos * cos * modulus + square * square
+    ratio = safe_divide(tilt * tilt + b2 * cos * cos, along + slope * square)
+    return r_s * (1 + ratio) / 2
+
+
+def _refracted(cos: Array, index: Array, extinction: Array) -> tuple[Array, Array, Array, Array]:
+    """a, w, (n - 1)(n + 1) - k^2 and b^2 of `conductor_reflectance`."""
+    excess = (index - 1) * (index + 1) - extinction * extinction  # exact where the medium is nearly vacuum
+    real = excess + cos * cos
+    product = 2 * index * extinction
+    modulus = safe_sqrt(real * real + product * product)
+    dense = real >= 0
+    spread = jnp.where(dense, modulus + real, modulus - real)
+    other = safe_divide(product * product, spread)
+    twice, drop = jnp.where(dense, spread, other), jnp.where(dense, other, spread)
+    return safe_sqrt(twice / 2), modulus, excess, drop / 2

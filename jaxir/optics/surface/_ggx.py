@@ -10,6 +10,7 @@ of the light at normal incidence for a roughness of .3 would otherwise appear as
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ from jaxir.optics.surface._brdf import (
     parameter,
     width_of_lobe,
 )
-from jaxir.optics.surface._fresnel import conductor_absorptance
+from jaxir.optics.surface._fresnel import conductor_absorptance, conductor_reflectance
 
 _DEGREE = (16, 10)  # Chebyshev coefficients of the loss in (direction, roughness)
 _FINE = 48  # quadrature points behind those coefficients
@@ -72,10 +73,10 @@ class RoughConductor(AbstractBrdf):
         cos_i, cos_o = jnp.where(above, i[2], 1), jnp.maximum(o[2], 0)
         half = _half(i, o)
         cross = cos_i * _reach(cos_o, self.roughness) + cos_o * _reach(cos_i, self.roughness)
-        reflected = 1 - self._absorptance(jnp.clip(dot(o, half), 0, 1))
+        reflected = self._of_facet(conductor_reflectance, jnp.clip(dot(o, half), 0, 1))
         single = reflected * _facets(half, self.roughness) / (2 * cross)
         lost = _loss(cos_i, self.roughness) * _loss(cos_o, self.roughness) / _mean_loss(self.roughness)
-        return jnp.where(above, single + (1 - self._lost_absorptance()) * lost / jnp.pi, 0)
+        return jnp.where(above, single + self._lost_reflectance() * lost / jnp.pi, 0)
 
     def sample(
         self, u: Float[Array, " 2"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
@@ -108,14 +109,18 @@ class RoughConductor(AbstractBrdf):
         return share * cosine_density(omega_i, up) + (1 - share) * facet
 
     def directional_reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
-        """See `AbstractBrdf.directional_reflectance`."""
-        return 1 - self.directional_emissivity(cos_o)
+        """See `AbstractBrdf.directional_reflectance`; as the emissivity, and never below 0."""
+        return self._over_facets(cos_o, conductor_reflectance, self._lost_reflectance())
 
     def directional_emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
         """See `AbstractBrdf.directional_emissivity`.
 
         E <A> + (1 - E)(1 - F_ms) with <A> the mean absorptance of visible facets.
         """
+        return self._over_facets(cos_o, conductor_absorptance, self._lost_absorptance())
+
+    def _over_facets(self, cos_o: Float[Array, ""], fresnel: Callable, lost: Float[Array, " node"]) -> Array:
+        """Mean of a Fresnel factor over visible facets, and the same of light that met more than one."""
         o = jnp.stack([safe_sqrt(1 - cos_o * cos_o), jnp.zeros_like(cos_o), cos_o])
         u, weight = (as_float(a) for a in _facet_points())
 
@@ -125,22 +130,32 @@ class RoughConductor(AbstractBrdf):
             out = 2 * cos * half[2] - cos_o
             above = out > 0
             seen = weight * jnp.where(above, _seen(cos_o, jnp.where(above, out, 1), self.roughness), 0)
-            return seen * self._absorptance(cos), seen
+            return seen * self._of_facet(fresnel, cos), seen
 
         total, below = (jnp.sum(part, axis=0) for part in jax.vmap(facet)(u, weight))
         loss = _loss(cos_o, self.roughness)
-        return safe_divide((1 - loss) * total, below) + loss * self._lost_absorptance()
+        return safe_divide((1 - loss) * total, below) + loss * lost
 
-    def _absorptance(self, cos: Float[Array, "..."]) -> Float[Array, " node"]:
+    def _of_facet(self, fresnel: Callable, cos: Float[Array, "..."]) -> Float[Array, " node"]:
         node = jnp.broadcast_shapes(cos.shape, self.index.shape, self.extinction.shape)
-        return conductor_absorptance(*(jnp.broadcast_to(a, node) for a in (cos, self.index, self.extinction)))
+        return fresnel(*(jnp.broadcast_to(a, node) for a in (cos, self.index, self.extinction)))
+
+    def _mean(self, fresnel: Callable) -> Float[Array, " node"]:
+        """Mean of a Fresnel factor over cosine-weighted directions."""
+        point, weight = (as_float(a) for a in gauss_legendre(_MEAN))
+        each = jax.vmap(lambda cos: self._of_facet(fresnel, cos))(point)
+        return jnp.sum(2 * (weight * point)[:, None] * each, axis=0)
 
     def _lost_absorptance(self) -> Float[Array, " node"]:
         """1 - F_ms = A (1 + F E) / (1 - F (1 - E)), F = 1 - A and E means over cosine-weighted directions."""
-        point, weight = (as_float(a) for a in gauss_legendre(_MEAN))
-        absorbed = jnp.sum(2 * (weight * point)[:, None] * jax.vmap(self._absorptance)(point), axis=0)
-        reflected, loss = 1 - absorbed, _mean_loss(self.roughness)
+        absorbed, loss = self._mean(conductor_absorptance), _mean_loss(self.roughness)
+        reflected = 1 - absorbed
         return absorbed * (1 + reflected * (1 - loss)) / (1 - reflected * loss)
+
+    def _lost_reflectance(self) -> Float[Array, " node"]:
+        """F_ms = F^2 E / (1 - F (1 - E))."""
+        reflected, loss = self._mean(conductor_reflectance), _mean_loss(self.roughness)
+        return reflected * reflected * (1 - loss) / (1 - reflected * loss)
 
 
 def _reach(cos: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Array, "..."]:
