@@ -39,6 +39,8 @@ from jaxir.optics.particle import mie_table as mie_table
 from jaxir.optics.particle import number_density as number_density
 
 # Its lights and surroundings
+from jaxir.optics.spectrum import BlackbodySpectrum as BlackbodySpectrum
+from jaxir.optics.spectrum import TabulatedSpectrum as TabulatedSpectrum
 from jaxir.scene.light import BlackbodyBackground as BlackbodyBackground
 from jaxir.scene.light import DiscSource as DiscSource
 from jaxir.scene.light import ElevationTable as ElevationTable

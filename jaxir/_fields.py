@@ -7,13 +7,14 @@ values at the entry of a computation. All of them call the field by its one name
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Callable, Iterator
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, broadcast, finite, non_negative, on_host, reshaped
 
@@ -34,6 +35,7 @@ class _Quantity:
     within: tuple[Range, ...]
     spread: Spread | None
     least: int
+    light: bool
 
 
 def _given(value: Any) -> Any:
@@ -47,6 +49,7 @@ def quantity(
     within: Range | tuple[Range, ...] = finite,
     spread: Spread | None = None,
     least: int = 0,
+    light: bool = False,
     **options: Any,
 ) -> Any:
     """A field of numbers.
@@ -59,10 +62,11 @@ def quantity(
         within: the check that the values must pass, e.g. `jaxir._arrays.positive`, or several.
         spread: what makes an array of another shape one of this shape, e.g. `per_node`; None for nothing.
         least: smallest length of every axis.
+        light: whether an `AbstractSpectrum` may stand for the numbers, which has what the axes before the last are.
         options: `default` and `kw_only` of a dataclass field. A field whose default is None may be None.
     """
     ranges = within if isinstance(within, tuple) else (within,)
-    declared = _Quantity(unit, shape, ranges, spread, least)
+    declared = _Quantity(unit, shape, ranges, spread, least, light)
     return eqx.field(converter=_given, metadata={_DECLARED: declared}, **options)
 
 
@@ -79,6 +83,11 @@ def per_face(value: Array) -> Array:
 def spectral(unit: str, within: Range | tuple[Range, ...] = non_negative, **options: Any) -> Any:
     """A field with one number for all nodes, or one for each [node or 1]."""
     return quantity(unit, ("node",), within, per_node, **options)
+
+
+def light(unit: str, within: Range | tuple[Range, ...] = non_negative, **options: Any) -> Any:
+    """As `spectral`, or an `AbstractSpectrum`."""
+    return quantity(unit, ("node",), within, per_node, light=True, **options)
 
 
 def count(least: int = 1, **options: Any) -> Any:
@@ -111,6 +120,9 @@ class Physical(eqx.Module):
             if value is None:
                 continue
             field = f"{type(self).__name__}.{name}"
+            if isinstance(value, AbstractSpectrum) and declared.light:
+                _require_axes(field, (*value.batch, 1), declared, known)
+                continue
             array = as_float(value, field)
             array = array if declared.spread is None else declared.spread(array)
             _require_axes(field, array.shape, declared, known)
@@ -126,9 +138,8 @@ class Physical(eqx.Module):
     def checks(self) -> list[Check]:
         """What must hold of the values: the range of every field, of every part, `relations` and `doubts`."""
         ranges = [
-            within(f"{type(self).__name__}.{name}", getattr(self, name))
-            for name, declared in _declared(self)
-            if getattr(self, name) is not None
+            within(f"{type(self).__name__}.{name}", value)
+            for name, declared, value in _numbers(self)
             for within in declared.within
         ]
         return [
@@ -163,12 +174,11 @@ class Physical(eqx.Module):
         bands = len(nodes.names)
         given = [
             name
-            for name, declared in _declared(self)
+            for name, declared, value in _numbers(self)
             if declared.unit.startswith("W")
             and declared.shape is not None
             and "node" in declared.shape
-            and getattr(self, name) is not None
-            and getattr(self, name).shape[declared.shape.index("node") - len(declared.shape)] in (1, bands)
+            and value.shape[declared.shape.index("node") - len(declared.shape)] in (1, bands)
         ]
         if not given or bands in (1, nodes.count):
             return []
@@ -184,6 +194,25 @@ class Physical(eqx.Module):
         values = [getattr(self, entry.name) for entry in dataclasses.fields(self)]
         every = [one for value in values for one in (value if isinstance(value, tuple) else (value,))]
         return [one for one in every if hasattr(one, "checks")]
+
+
+class AbstractSpectrum(Physical):
+    """Light by its spectrum, in place of numbers for bands or nodes: an irradiance, a radiance or an intensity."""
+
+    @property
+    @abc.abstractmethod
+    def batch(self) -> tuple[int, ...]:
+        """How many spectra it is: () for one."""
+
+    @abc.abstractmethod
+    def on(self, nodes: Any) -> Float[Array, "*batch node"]:
+        """Light in the bin of each node, in the unit of the field it stands for."""
+
+
+if TYPE_CHECKING:  # what computations read, of lights on the nodes, is always an array
+    SpectralLight = Array
+else:
+    SpectralLight = Float[Array, "*batch node"] | AbstractSpectrum
 
 
 @eqx.filter_jit
@@ -216,9 +245,9 @@ def by_band(of: P, nodes: Any) -> P:
 
     def spread(of: Any) -> Any:
         changed: dict[str, Any] = {}
-        for name, declared in _declared(of):
-            value, shape = getattr(of, name), declared.shape
-            if value is None or shape is None or "node" not in shape:
+        for name, declared, value in _numbers(of):
+            shape = declared.shape
+            if shape is None or "node" not in shape:
                 continue
             axis = shape.index("node") - len(shape)
             if value.shape[axis] == bands and bands > 1:
@@ -252,13 +281,12 @@ def _replaced(of: P, changed: dict[str, Any]) -> P:
     )
 
 
-def over_nodes(of: P, nodes: int, names: tuple[str, ...]) -> P:
+def over_nodes(of: P, nodes: Any) -> P:
     """The same object with one number for each node in every field whose last axis is that of the nodes.
 
     Args:
         of: the object.
-        nodes: how many.
-        names: of the bands, for the message.
+        nodes: the spectral axis, `jaxir.Nodes`.
 
     Raises:
         ValueError: a field has neither one value nor one for each node.
@@ -267,12 +295,14 @@ def over_nodes(of: P, nodes: int, names: tuple[str, ...]) -> P:
     values = []
     for name in fields:
         value = getattr(of, name)
-        if value.shape[-1] not in (1, nodes):
+        if isinstance(value, AbstractSpectrum):
+            value = value.on(nodes)
+        if value.shape[-1] not in (1, nodes.count):
             raise ValueError(
-                f"{type(of).__name__}.{name}: got {value.shape[-1]} spectral values, expected 1 or {nodes}, one for "
-                f"each node of the bands {names}"
+                f"{type(of).__name__}.{name}: got {value.shape[-1]} spectral values, expected 1 or {nodes.count}, one "
+                f"for each node of the bands {nodes.names}"
             )
-        values.append(jnp.broadcast_to(value, (*value.shape[:-1], nodes)))
+        values.append(jnp.broadcast_to(value, (*value.shape[:-1], nodes.count)))
     return _replaced(of, dict(zip(fields, values, strict=True)))
 
 
@@ -280,6 +310,14 @@ def _declared(of: Physical) -> Iterator[tuple[str, _Quantity]]:
     for entry in dataclasses.fields(of):
         if _DECLARED in entry.metadata:
             yield entry.name, entry.metadata[_DECLARED]
+
+
+def _numbers(of: Physical) -> Iterator[tuple[str, _Quantity, Array]]:
+    """The declared fields that hold numbers."""
+    for name, declared in _declared(of):
+        value = getattr(of, name)
+        if value is not None and not isinstance(value, AbstractSpectrum):
+            yield name, declared, value
 
 
 def _require_axes(field: str, shape: tuple[int, ...], declared: _Quantity, known: dict[str, tuple[int, ...]]) -> None:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from chi_square import p_value
 
+import jaxir
 from jaxir._arrays import enforce
 from jaxir.geometry import disc_vector, polygon_form_factor
-from jaxir.optics.spectrum import LWIR, MWIR, gray_nodes
+from jaxir.optics.spectrum import LWIR, MWIR, Band, gray_nodes, resolved_nodes
 from jaxir.scene.light import DiscSource, ElevationTable, PointSource, PolygonSource, SphereSource
 
 POINT = np.array([0.2, -0.1, 0.3])
@@ -164,3 +165,105 @@ def test_sky_and_earth_by_elevation(precision):
         enforce(jnp.zeros(1), ElevationTable([10.0, 0.0], [1.0, 1.0]).checks())
     with pytest.raises(ValueError, match=r"ElevationTable.radiance: got shape \(1, 1\), expected \(2, node\)"):
         ElevationTable([0.0, 1.0], [1.0])
+
+
+BOTH = [Band("wide", 3.0, 5.0), Band("long", 8.0, 12.0)]
+
+
+def sun():
+    """Its factor is the solid angle of a disc of .266 degrees radius."""
+    return jaxir.BlackbodySpectrum(5772.0, 6.794e-5)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        lambda spectrum: jaxir.ParallelSource(DOWN, spectrum),
+        lambda spectrum: PointSource(POINT, spectrum),
+        lambda spectrum: DiscSource(POINT, DOWN, 1.0, spectrum),
+        lambda spectrum: PolygonSource(PENTAGON, spectrum),
+        lambda spectrum: SphereSource(POINT, 1.0, spectrum),
+        jaxir.UniformBackground,
+    ],
+)
+def test_a_spectrum_is_the_same_light_on_any_nodes(light, precision):
+    """The sum over the bins of a band is Planck's integral over the band, and the integral under a straight line."""
+    line = jaxir.TabulatedSpectrum([1.0, 4.0, 13.0], [10.0, 40.0, 130.0])
+    expected = {
+        "blackbody": 6.794e-5 * np.asarray(jaxir.band_radiance(jnp.asarray(5772.0), gray_nodes(BOTH))),
+        "line": np.array([(25 - 9) * 5.0, (144 - 64) * 5.0]),
+    }
+    for name, spectrum in (("blackbody", sun()), ("line", line)):
+        for nodes in (gray_nodes(BOTH), resolved_nodes(BOTH, 50.0, 2, 2), resolved_nodes(BOTH, 3.0, 1, 0)):
+            own = light(spectrum)
+            enforce(jnp.zeros(1), [*own.checks(), *own.node_checks(nodes)])
+            lit = own.on(nodes)
+            found = next(
+                getattr(lit, field) for field in ("irradiance", "intensity", "radiance") if hasattr(lit, field)
+            )
+            assert found.shape == (nodes.count,)
+            np.testing.assert_allclose(
+                nodes.in_band(found), expected[name], rtol=1e-5 if precision == "float32" else 1e-9
+            )
+
+
+def test_sunlight_as_a_spectrum_has_the_solar_constant():
+    everything = gray_nodes([Band("all", 0.15, 90.0)])
+    assert float(sun().on(everything)[0]) == pytest.approx(1361, rel=2e-3)
+
+
+def test_a_spectrum_lights_skin_through_gas_as_its_bins_do(x64):
+    """The light of every bin is dimmed by its own absorption: the exact sum, and slopes in temperature and factor."""
+    grid = jaxir.Grid((-2.0, -2.0, 0.5), (4.0, 4.0, 1.0), (1, 1, 1))
+    gas = jaxir.NarrowBandGas(1e5, co2=1e-3)
+    nodes = resolved_nodes([Band("red", 4.0, 4.8)], 100.0, 1, 0)
+    camera = jaxir.orthographic_camera(0, 0, 0.05, (1, 1))
+    plate = jaxir.Skin(
+        jaxir.Mesh([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], [[0, 1, 2], [0, 2, 3]]), 1.0, jaxir.Lambert(0.5)
+    )
+    slant = np.array([-0.6, 0.0, -0.8])
+
+    def seen(temperature, factor):
+        sun = jaxir.ParallelSource(slant, jaxir.BlackbodySpectrum(temperature, factor))
+        scene = jaxir.Scene(plate, jaxir.GridPlume(grid, 300.0, gas), sun)
+        return jaxir.render(scene, camera, nodes, samples=2).radiance[0, 0, 0]
+
+    lit = jaxir.GridPlume(grid, 300.0, gas).medium(nodes)
+    bins = 1e-4 * jaxir.band_radiance(jnp.asarray(3000.0), nodes)
+    passed = np.exp(-np.asarray(lit.extinction).reshape(-1) * 1.0 / 0.8)
+    expected = float(nodes.in_band(bins * passed)[0]) * 0.6 * 0.5 / np.pi
+    assert expected > 100 * float(seen(1.0, 0.0))  # the gas's own glow, which skin does not reflect
+    value, slopes = jax.value_and_grad(seen, argnums=(0, 1))(3000.0, 1e-4)
+    assert passed.min() < 0.5 < 0.9 < passed.max()
+    np.testing.assert_allclose(value, expected, rtol=1e-6)
+    np.testing.assert_allclose(slopes[1], expected / 1e-4, rtol=1e-6)
+    np.testing.assert_allclose(slopes[0], (seen(3001.0, 1e-4) - seen(2999.0, 1e-4)) / 2, rtol=1e-5)
+
+
+def test_a_sky_of_spectra(precision):
+    nodes = gray_nodes(BOTH)
+    kelvin = np.array([290.0, 280.0, 230.0])
+    sky = ElevationTable([-90.0, 0.0, 90.0], jaxir.BlackbodySpectrum(kelvin, [0.95, 1.0, 1.0])).on(nodes)
+    down, up = sky.arriving(jnp.asarray(DOWN)), sky.arriving(jnp.asarray(-DOWN))
+    black = jaxir.band_radiance(jnp.asarray(kelvin), nodes)
+    np.testing.assert_allclose(down, 0.95 * black[0], rtol=1e-5)
+    np.testing.assert_allclose(up, black[2], rtol=1e-5)
+
+
+def test_bad_spectra_are_refused():
+    short = jaxir.UniformBackground(jaxir.TabulatedSpectrum([3.0, 4.0], [1.0, 1.0]))
+    with pytest.raises(
+        ValueError, match=r"inside the table of TabulatedSpectrum, .*3 to 4 um\); asked were .*3 to 5 um"
+    ):
+        short.on(gray_nodes(BOTH[:1]))
+    with pytest.raises(ValueError, match=r"ElevationTable.radiance: got shape \(1,\), expected"):
+        ElevationTable([-90.0, 90.0], jaxir.BlackbodySpectrum(300.0))
+    with pytest.raises(ValueError, match=r"ParallelSource.irradiance: got shape \(2, 1\), expected"):
+        jaxir.ParallelSource(DOWN, jaxir.BlackbodySpectrum([300.0, 400.0]))
+    for spectrum, field in (
+        (jaxir.BlackbodySpectrum(-1.0), "BlackbodySpectrum.temperature: got -1.0"),
+        (jaxir.TabulatedSpectrum([4.0, 3.0], [1.0, 1.0]), "TabulatedSpectrum.wavelength"),
+        (jaxir.TabulatedSpectrum([3.0, 4.0], [1.0, -1.0]), "TabulatedSpectrum.value: got -1.0"),
+    ):
+        with pytest.raises(ValueError, match=field):
+            enforce(jnp.zeros(1), jaxir.UniformBackground(spectrum).checks())

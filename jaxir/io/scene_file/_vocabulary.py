@@ -31,7 +31,7 @@ from jaxir.io.spectra import load_atmosphere_csv, load_k_tables, load_tape7
 from jaxir.optics.air import Profile, us_standard_1976
 from jaxir.optics.gas import CorrelatedK, CrossSections, GrayGas, NarrowBandGas, combustion_products
 from jaxir.optics.particle import GrayParticles, HenyeyGreenstein, Isotropic, Particles, TabulatedPhase, mie_table
-from jaxir.optics.spectrum import LWIR, MWIR, SWIR, Band, Nodes, sensor_band
+from jaxir.optics.spectrum import LWIR, MWIR, SWIR, Band, BlackbodySpectrum, Nodes, TabulatedSpectrum, sensor_band
 from jaxir.optics.surface import BrdfTable, Lambert, RoughConductor, SandfordRobertson
 from jaxir.scene.air import FixedPath, StandardAtmosphere, TableAtmosphere, UniformAtmosphere
 from jaxir.scene.light import (
@@ -163,6 +163,7 @@ SOURCES: dict[str, Callable] = {
     "PolygonSource": PolygonSource,
     "SphereSource": SphereSource,
 }
+SPECTRA: dict[str, Callable] = {"BlackbodySpectrum": BlackbodySpectrum, "TabulatedSpectrum": TabulatedSpectrum}
 BACKGROUNDS: dict[str, Callable] = {
     "UniformBackground": UniformBackground,
     "BlackbodyBackground": BlackbodyBackground,
@@ -196,6 +197,12 @@ def _direct(entry: Entry) -> Any:
     return None if entry.value == "none" else build(entry, DIRECT, READERS, default="DirectSampling")
 
 
+def _light(entry: Entry) -> Any:
+    """Numbers, or a spectrum."""
+    typed = isinstance(entry.value, dict) and "type" in entry.value
+    return build(entry, SPECTRA, READERS) if typed else numbers(entry)
+
+
 def _of(constructors: dict[str, Callable]) -> Reader:
     return lambda entry: build(entry, constructors, READERS)
 
@@ -212,6 +219,8 @@ READERS: dict[str, Reader] = {
     "fields": _field_values,
     "gas": _of(GASES),
     "grid": _of({"Grid": Grid}),
+    "intensity": _light,
+    "irradiance": _light,
     "lights": integer,
     "mole_fractions": _number_table,
     "name": text,
@@ -225,6 +234,7 @@ READERS: dict[str, Reader] = {
     "plume_light": _of({"PlumeLight": PlumeLight}),
     "points": integer,
     "profile": _of(PROFILES),
+    "radiance": _light,
     "sampler": _of(SAMPLERS),
     "samples": integer,
     "scattering": _of({"DiscreteOrdinates": DiscreteOrdinates}),

@@ -16,6 +16,8 @@ from jaxir.optics.spectrum._band import quantile_index as quantile_index
 from jaxir.optics.spectrum._band import sensor_band as sensor_band
 from jaxir.optics.spectrum._band import wavelength_to_wavenumber as wavelength_to_wavenumber
 from jaxir.optics.spectrum._band import with_error as with_error
+from jaxir.optics.spectrum._light import BlackbodySpectrum as BlackbodySpectrum
+from jaxir.optics.spectrum._light import TabulatedSpectrum as TabulatedSpectrum
 from jaxir.optics.spectrum._planck import FIRST_RADIATION as FIRST_RADIATION
 from jaxir.optics.spectrum._planck import STEFAN as STEFAN
 from jaxir.optics.spectrum._planck import band_radiance as band_radiance

@@ -25,5 +25,5 @@ class FixedPath(AbstractAtmosphere):
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`."""
-        own = over_nodes(self, nodes.count, nodes.names)
+        own = over_nodes(self, nodes)
         return AirPath(own.transmittance, own.path_radiance)

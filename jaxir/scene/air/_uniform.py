@@ -31,7 +31,7 @@ class UniformAtmosphere(AbstractAtmosphere):
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`."""
-        depth = self.distance * over_nodes(self, nodes.count, nodes.names).extinction
+        depth = self.distance * over_nodes(self, nodes).extinction
         added = jnp.zeros_like(depth)
         if self.temperature is not None:
             added = -jnp.expm1(-depth) * band_radiance(self.temperature, nodes)

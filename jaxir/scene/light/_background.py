@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, positive
-from jaxir._fields import quantity, spectral
+from jaxir._fields import SpectralLight, light, quantity
 from jaxir._plausible import KELVIN
 from jaxir.optics.spectrum import Nodes, band_radiance
 from jaxir.scene.light._light import AbstractBackground, spread
@@ -19,7 +19,7 @@ class UniformBackground(AbstractBackground):
         radiance: [W m-2 sr-1], in every band, in each [band], or in each node's bin [node]. Differentiable.
     """
 
-    radiance: Float[Array, " node"] = spectral("W m-2 sr-1")
+    radiance: SpectralLight = light("W m-2 sr-1")
 
     def on(self, nodes: Nodes) -> UniformBackground:
         """See `AbstractLight.on`."""

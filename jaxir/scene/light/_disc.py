@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, positive, unit_vector
-from jaxir._fields import quantity, spectral
+from jaxir._fields import SpectralLight, light, quantity
 from jaxir._math import dot
 from jaxir.geometry import disc_above, disc_vector, pdf_disc, pdf_from_area, sample_disc
 from jaxir.optics.spectrum import Nodes
@@ -30,7 +30,7 @@ class DiscSource(AbstractAreaSource):
     centre: Float[Array, " 3"] = quantity("m", (3,))
     normal: Float[Array, " 3"] = quantity("1", (3,), unit_vector)
     radius: Float[Array, ""] = quantity("m", (), positive)
-    radiance: Float[Array, " node"] = spectral("W m-2 sr-1")
+    radiance: SpectralLight = light("W m-2 sr-1")
 
     def on(self, nodes: Nodes) -> DiscSource:
         """See `AbstractLight.on`."""

@@ -119,7 +119,7 @@ class AbstractBackground(AbstractExtendedLight):
 
 def spread(light: L, nodes: Nodes) -> L:
     """A light with one number for each node in every spectral field."""
-    return over_nodes(light, nodes.count, nodes.names)
+    return over_nodes(light, nodes)
 
 
 def delta_sources(lights: tuple[AbstractLight, ...]) -> tuple[AbstractDeltaSource, ...]:

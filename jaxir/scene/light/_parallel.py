@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._arrays import non_negative, unit_vector
-from jaxir._fields import quantity, spectral
+from jaxir._fields import SpectralLight, light, quantity
 from jaxir._plausible import usual
 from jaxir.geometry.search import Mesh, occluded
 from jaxir.optics.spectrum import Nodes
@@ -26,7 +26,7 @@ class ParallelSource(AbstractDeltaSource):
     """
 
     direction: Float[Array, " 3"] = quantity("1", (3,), unit_vector)
-    irradiance: Float[Array, " node"] = spectral("W m-2", (non_negative, _SUNLIGHT))
+    irradiance: SpectralLight = light("W m-2", (non_negative, _SUNLIGHT))
 
     def on(self, nodes: Nodes) -> ParallelSource:
         """See `AbstractLight.on`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir._fields import quantity, spectral
+from jaxir._fields import SpectralLight, light, quantity
 from jaxir._math import dot
 from jaxir.geometry.search import Mesh, occluded_from
 from jaxir.optics.spectrum import Nodes
@@ -23,7 +23,7 @@ class PointSource(AbstractDeltaSource):
     """
 
     position: Float[Array, " 3"] = quantity("m", (3,))
-    intensity: Float[Array, " node"] = spectral("W sr-1")
+    intensity: SpectralLight = light("W sr-1")
 
     def on(self, nodes: Nodes) -> PointSource:
         """See `AbstractLight.on`."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check
-from jaxir._fields import quantity, spectral
+from jaxir._fields import SpectralLight, light, quantity
 from jaxir._math import dot
 from jaxir.geometry import pdf_from_area, pdf_polygon, polygon_form_factor, polygon_vector, sample_polygon
 from jaxir.optics.spectrum import Nodes
@@ -25,7 +25,7 @@ class PolygonSource(AbstractAreaSource):
     """
 
     corners: Float[Array, "corner 3"] = quantity("m", ("corner", 3))
-    radiance: Float[Array, " node"] = spectral("W m-2 sr-1")
+    radiance: SpectralLight = light("W m-2 sr-1")
 
     def structure(self) -> None:
         """See `Physical.structure`."""

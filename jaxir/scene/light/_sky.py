@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, finite, non_negative
-from jaxir._fields import quantity
+from jaxir._fields import SpectralLight, quantity
 from jaxir._math import safe_sqrt
 from jaxir._plausible import ELEVATION
 from jaxir.optics.spectrum import Nodes
@@ -25,13 +25,13 @@ class ElevationTable(AbstractBackground):
     Attributes:
         elevation: increasing, from below to above the horizon [elevation] [deg]; constant beyond its ends. Two equal
             entries make a step, as the horizon is one.
-        radiance: towards each elevation [elevation], or [elevation, node or 1] [W m-2 sr-1].
+        radiance: towards each elevation [elevation], or [elevation, node or 1] [W m-2 sr-1], or as many spectra.
 
     Differentiable in `radiance`.
     """
 
     elevation: Float[Array, " elevation"] = quantity("deg", ("elevation",), (finite, ELEVATION))
-    radiance: Float[Array, "elevation node"] = quantity("W m-2 sr-1", ("elevation", "node"), non_negative, _rows)
+    radiance: SpectralLight = quantity("W m-2 sr-1", ("elevation", "node"), non_negative, _rows, light=True)
 
     def structure(self) -> None:
         """See `Physical.structure`."""

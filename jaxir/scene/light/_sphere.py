@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import positive
-from jaxir._fields import quantity, spectral
+from jaxir._fields import SpectralLight, light, quantity
 from jaxir._math import dot, safe_sqrt
 from jaxir.geometry import sample_cap, sphere_drop
 from jaxir.optics.spectrum import Nodes
@@ -26,7 +26,7 @@ class SphereSource(AbstractAreaSource):
 
     centre: Float[Array, " 3"] = quantity("m", (3,))
     radius: Float[Array, ""] = quantity("m", (), positive)
-    radiance: Float[Array, " node"] = spectral("W m-2 sr-1")
+    radiance: SpectralLight = light("W m-2 sr-1")
 
     def on(self, nodes: Nodes) -> SphereSource:
         """See `AbstractLight.on`."""

@@ -158,6 +158,37 @@ def test_how_light_is_found_is_one_table(tmp_path):
     assert closed.direct == jaxir.ClosedForm()
 
 
+LIGHTS = """
+[[sources]]
+type = "ParallelSource"
+direction = [0, 0, -1]
+irradiance = { type = "BlackbodySpectrum", temperature = 5772, factor = 6.794e-5 }
+[[sources]]
+type = "PointSource"
+position = [0, 0, 9]
+intensity = { type = "TabulatedSpectrum", wavelength = [1, 20], value = [3, 3] }
+[[sources]]
+type = "ElevationTable"
+elevation = [-90, 90]
+radiance = { type = "BlackbodySpectrum", temperature = [290, 230] }
+"""
+
+
+def test_light_by_its_spectrum(tmp_path):
+    """Where numbers stand for light, a table with a type says how it goes with the wavelength."""
+    text = TEXT.replace("[background]", LIGHTS + "[background]")
+    nodes = jaxir.gray_nodes((jaxir.MWIR,))
+    sources = load_scene(write_scene(tmp_path, text)).scene.sources
+    sun, lamp, sky = (light.on(nodes) for light in sources[1:])
+    black = [jaxir.band_radiance(jax.numpy.asarray(t), nodes) for t in (5772.0, 290.0, 230.0)]
+    np.testing.assert_allclose(sun.irradiance, 6.794e-5 * black[0], rtol=1e-6)
+    np.testing.assert_allclose(lamp.intensity, [6.0], rtol=1e-6)
+    np.testing.assert_allclose(sky.radiance, black[1:], rtol=1e-6)
+    wrong = text.replace("factor", "solid_angle")
+    with pytest.raises(ValueError, match=r"sources\[1\].irradiance.solid_angle: unknown key, expected .*factor"):
+        load_scene(write_scene(tmp_path, wrong))
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [
