@@ -104,6 +104,17 @@ def as_float(value: Any, field: str = "value") -> Array:
         raise ValueError(f"{field}: got {value!r}, expected a number or an array of numbers") from error
 
 
+def require_precision(*parts: Any) -> None:
+    """Raise `ValueError` unless all floating arrays of each part are of the floating dtype in force."""
+    for part in parts:
+        for leaf in jax.tree.leaves(part):
+            if eqx.is_inexact_array(leaf) and leaf.dtype != float_dtype():
+                raise ValueError(
+                    f"{type(part).__name__}: got {leaf.dtype} arrays, expected {float_dtype()}, the precision in "
+                    "force; build it anew after jax_enable_x64 is changed"
+                )
+
+
 def key_or_default(key: Key[Array, ""] | None) -> Key[Array, ""]:
     """The random key, by default always the same."""
     return jax.random.key(jax.device_put(np.uint32(0))) if key is None else key

@@ -24,6 +24,7 @@ from jaxir._arrays import (
     placed,
     positive,
     require,
+    require_precision,
     require_shape,
 )
 from jaxir._plausible import ELEVATION, usual
@@ -134,7 +135,8 @@ class Camera(eqx.Module):
         return (edges[1:] + edges[:-1]) / 2, edges[1:] - edges[:-1]
 
     def checks(self) -> list[Check]:
-        """The target is finite, the frame a number, pixels have positive size."""
+        """The target is finite, the frame a number, pixels have positive size; all in the precision in force."""
+        require_precision(self)
         return [
             finite("Camera.target", self.target),
             finite("Camera.frame", self.frame),

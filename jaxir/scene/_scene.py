@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check
+from jaxir._arrays import Check, require_precision
 from jaxir._fields import by_band
 from jaxir._math import radius_about
 from jaxir.geometry import Camera, Rays
@@ -275,8 +275,10 @@ def on_nodes(scene: Scene, nodes: Nodes) -> Lit:
     """A scene on the nodes. Differentiable in every radiometric leaf of the scene.
 
     Raises:
-        ValueError: a part has neither one spectral value nor one for each node.
+        ValueError: a part has neither one spectral value nor one for each node; arrays of another precision than that
+            in force.
     """
+    require_precision(nodes, scene)
     scene = _by_band(scene, nodes)
     sources = tuple(source.on(nodes) for source in scene.sources)
     background = None if scene.background is None else scene.background.on(nodes)

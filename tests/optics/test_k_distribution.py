@@ -71,6 +71,21 @@ def test_eight_quantiles_are_within_three_per_mille_where_lines_overlap():
     assert error(log_b) < 3e-3 < 0.05 < error(np.array([-6.0]))
 
 
+@pytest.mark.parametrize(("points", "share"), [(8, (0.0025, 0.011, 0.042, 0.24)), (12, (0.001, 0.005, 0.016, 0.1))])
+def test_what_passes_a_deep_layer_errs_as_said(points, share):
+    """Of the transmittance itself, up to -ln T = 1, 2, 3 and 4.6, for b >= e^-2; the last bound says that it does err."""
+    g, weight = quantiles(points)
+    b = np.exp(np.arange(-2, 4.1, 0.5))[:, None]
+    y = np.exp(log_quantile_exact(np.broadcast_to(ndtri(g), (b.size, points)), np.log(b)))
+    for most, bound in zip((1.0, 2.0, 3.0, 4.6), share, strict=True):
+        thick = np.linspace(0.05, most, 60)[None] + 0 * b
+        depth = ((2 * thick / b + 1) ** 2 - 1) * b / 4  # of the mean coefficient
+        got = np.sum(weight * np.exp(-depth[..., None] * y[:, None]), axis=-1)
+        error = np.abs(got / np.exp(-thick) - 1).max()
+        assert bound / 4 < error < bound
+        assert np.abs(got - np.exp(-thick)).max() < 2.5e-3
+
+
 def test_slope_and_curvature_match_differences(x64):
     series = quantile_series(jnp.asarray(quantiles(8)[0]))
     t = jnp.linspace(-11.5, 9.0, 30)[:, None] * jnp.ones((1, 8))

@@ -26,8 +26,11 @@ _STRETCH = 3  # g = 1 - (1 - s)^3 crowds the points where the few strong values 
 def quantiles(points: int) -> tuple[np.ndarray, np.ndarray]:
     """Quadrature over the quantile g of one gas: Gauss-Legendre in s, g = 1 - (1 - s)^3.
 
-    Over Malkmus' distribution with shapes b = e^-6 ... e^4, 8 points err by 1.3 % rms, 6 by 3.5 %, 12 by 0.2 %; plain
-    Gauss-Legendre with 8 points errs by 17 %. For b >= e^-2 the 8 points are within 0.3 % at any depth.
+    Over Malkmus' distribution with shapes b = e^-6 ... e^4, 8 points err in the absorptance 1 - T by 1.3 % rms, 6 by
+    3.5 %, 12 by 0.2 %; plain Gauss-Legendre with 8 points errs by 17 %. For b >= e^-2 the 8 points are within 0.3 % of
+    the absorptance at any depth. The transmittance T errs by the same .0024 at most, which is more and more of itself
+    where little passes: at most 0.2 % for -ln T up to 1, 1 % up to 2, 4 % up to 3, but 23 % at 4.6 and all of it beyond
+    10 (12 points: 0.1, 0.4, 1.5, 9 %), as for a hot gas behind a cold one of the same lines.
 
     Args:
         points: number of points >= 1.
