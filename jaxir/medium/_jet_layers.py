@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir.optics import across_layer, thinning
+from jaxir.optics import thinning, through_layer
 
 COMPUTED = 256  # knots at which the optics are computed, 7 K apart between 300 and 2000 K
 BETWEEN = 4  # knots of the table for each interval of those
@@ -94,11 +94,11 @@ def _across_panels_jvp(primals, tangents):
 
 
 def front_of_panel(behind: Array, near_u: Array, far_u: Array, near_j: Array, far_j: Array) -> Array:
-    """The radiance in front of a panel."""
+    """The radiance in front of a panel. Differentiable."""
     shift_u, shift_j = _shift(near_u, far_u)[0], _shift(near_j, far_j)[0]
     unit = jnp.ones_like(behind)
-    between = across_layer(behind, far_u + shift_u, far_j + shift_j, unit)
-    return across_layer(between, near_u - shift_u, near_j - shift_j, unit)
+    between = through_layer(behind, far_u + shift_u, far_j + shift_j, unit)
+    return through_layer(between, near_u - shift_u, near_j - shift_j, unit)
 
 
 def _factors(behind: Array, near_u: Array, far_u: Array, near_j: Array, far_j: Array) -> tuple[Array, Array, list]:

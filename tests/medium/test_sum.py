@@ -120,6 +120,22 @@ def test_gradients_reach_each_plume(x64):
         assert abs(float(forward[place])) > 0
 
 
+@pytest.mark.parametrize("coefficient", [0.0, 1e-30, 1e-9, 1e7])
+def test_gradients_are_finite_where_a_plume_is_clear_or_opaque(coefficient):
+    """In both modes; what a layer selects away has no finite derivative."""
+    grid = jaxir.Grid((-2.0, -1.0, -1.0), (0.5, 1.0, 1.0), (8, 2, 2))
+    rays = rays_through(32, (0.7, 0.4, -0.6))
+
+    def total(k):
+        first, second = (jaxir.GridPlume(grid, 800.0, jaxir.GrayGas(x)) for x in k)
+        return look(jaxir.Scene(plumes=(first, second)), rays).sum()
+
+    for k in ([coefficient, 0.5], [coefficient, coefficient]):
+        forward, reverse = (mode(total)(jnp.asarray(k)) for mode in (jax.jacfwd, jax.jacrev))
+        assert np.all(np.isfinite(forward))
+        np.testing.assert_allclose(forward, reverse, rtol=1e-4, atol=1e-4 * float(np.abs(forward).max()))
+
+
 def test_particles_of_several_plumes_scatter_together():
     """A furnace of two overlapping plumes with particles, and the density of the directions drawn in both."""
     warm = 400.0

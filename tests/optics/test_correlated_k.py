@@ -246,6 +246,18 @@ def test_beyond_the_table_the_tangent_goes_on(raw_table, x64):
     assert np.allclose(far - start, 20 * (near - start), rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("temperature", [1e-3, 1.0, 5000.0])
+def test_cross_sections_of_any_temperature_are_finite(temperature):
+    """Also of lines that grow weaker as a gas warms, which go on as exp(-E / k T) with E below 0."""
+    levels = [300.0, 1000.0, 2500.0]
+    sigma = np.array([1e-20, 1e-24, 1e-27])[:, None, None, None] * np.ones((3, 1, 1, NODES.count))
+    table = CrossSections("CO2", NODES, levels, [1e5], [0.1], sigma)
+    seen = jax.value_and_grad(lambda t: jnp.sum(table.at(t, jnp.asarray(1e5), jnp.asarray(0.1))))
+    assert np.all(np.isfinite(seen(jnp.asarray(temperature))))
+    cold = [float(seen(jnp.asarray(200.0 + d))[1]) for d in (-0.01, 0.01)]
+    assert cold[0] == pytest.approx(cold[1], rel=2e-2)
+
+
 def test_gas_that_is_not_there_has_a_finite_gradient(raw_table, precision):
     table, nodes = cast(raw_table), cast(NODES)
     hot = jnp.asarray([255.0, 900.0])

@@ -73,7 +73,7 @@ def test_eight_quantiles_are_within_three_per_mille_where_lines_overlap():
 
 @pytest.mark.parametrize(("points", "share"), [(8, (0.0025, 0.011, 0.042, 0.24)), (12, (0.001, 0.005, 0.016, 0.1))])
 def test_what_passes_a_deep_layer_errs_as_said(points, share):
-    """Of the transmittance itself, up to -ln T = 1, 2, 3 and 4.6, for b >= e^-2; the last bound says that it does err."""
+    """Of the transmittance itself, up to -ln T = 1, 2, 3 and 4.6, for b >= e^-2: no more, and not much less."""
     g, weight = quantiles(points)
     b = np.exp(np.arange(-2, 4.1, 0.5))[:, None]
     y = np.exp(log_quantile_exact(np.broadcast_to(ndtri(g), (b.size, points)), np.log(b)))

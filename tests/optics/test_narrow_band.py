@@ -151,6 +151,21 @@ def test_beyond_the_table_strength_is_a_power_of_temperature(temperature, x64):
     assert float(change.max()) < 0.6  # no blow-up of the cubic
 
 
+@pytest.mark.parametrize("temperature", [1e-3, 1.0, 3.0, 30.0, 199.9, 5000.0])
+def test_gas_of_any_temperature_has_finite_values_and_slopes(temperature):
+    """Straight lines in ln T gave absorption beyond float32 below 5 K."""
+    nodes = resolved_nodes([SWIR, MWIR, LWIR], width=200.0, points=1, pair_points=0)
+
+    def kappa(t, p, x):
+        return NarrowBandGas(p, h2o=x, co2=x).absorption(nodes, t[None])[0]
+
+    at = jnp.asarray(temperature), jnp.asarray(1e5), jnp.asarray(0.1)
+    for leaf in (kappa(*at), *jax.jacfwd(kappa, (0, 1, 2))(*at), *jax.jacrev(kappa, (0, 1, 2))(*at)):
+        assert np.all(np.isfinite(leaf))
+    below, above = (np.asarray(jax.jacfwd(kappa)(jnp.asarray(200.0 + d), *at[1:])) for d in (-0.01, 0.01))
+    np.testing.assert_allclose(below, above, rtol=2e-2)
+
+
 def test_gradients_match_differences_in_both_modes(x64):
     nodes = resolved_nodes([MWIR, LWIR], width=200.0, points=2, pair_points=2)
     weight = band_radiance(jnp.asarray(1000.0), nodes)

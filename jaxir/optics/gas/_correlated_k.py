@@ -18,6 +18,7 @@ from jaxir._plausible import PASCAL, usual
 from jaxir.optics.gas._gas import (
     COLD,
     AbstractGas,
+    no_colder,
     require_cells,
     require_one_shape,
     require_uniform,
@@ -129,12 +130,12 @@ class CrossSections(eqx.Module):
         """Cross-section [*cell, node] [m2] at temperatures [K], pressures [Pa] and mole fractions, cells or scalars.
 
         Beyond the ends of an axis ln of the cross-section goes on along its tangent in 1/T, ln p or x; for temperature
-        that is the Boltzmann factor of one energy.
+        that is the Boltzmann factor of one energy, down to two thirds of the lowest level; see `no_colder` below that.
 
         Differentiable in all three.
         """
         weights = [
-            self.temperature.weights(-_KELVIN / temperature),
+            self.temperature.weights(-_KELVIN / no_colder(temperature, -COLD * _KELVIN / self.temperature.levels[0])),
             self.pressure.weights(jnp.log(pressure)),
             self.mole_fraction.weights(mole_fraction),
         ]
@@ -164,8 +165,9 @@ class CorrelatedK(AbstractGas):
     and the coefficients of species add: CO2 takes the first quantile of a node, all other species the second, so that
     bins with squares of quantiles (`resolved_nodes`) let them overlap at random. ln sigma is a cubic spline in 1/T,
     ln p and x between the levels of the table; beyond them it goes on along its tangents, for temperature with the
-    Boltzmann factor of one energy. That keeps values and gradients smooth in cold cells and for hot iterates of a fit;
-    it is untested against lines, so temperatures and pressures far beyond are warned of (`PlausibilityWarning`).
+    Boltzmann factor of one energy, which is bounded below two thirds of the lowest level. That keeps values and
+    gradients smooth in cold cells and for hot iterates of a fit; it is untested against lines, so temperatures and
+    pressures far beyond are warned of (`PlausibilityWarning`).
 
     Accuracy. At one temperature only quadrature and interpolation err: 8 quantiles of 25 cm-1 bins are within 1 % of
     line by line for CO2 at 4.3 um (330-1500 K, 3 mm to 10 m at 0.3 atm). Where hot gas shines through colder gas of

@@ -49,6 +49,15 @@ class AbstractGas(Physical):
         return []
 
 
+def no_colder(temperature: Float[Array, "*cell"], limit: Any) -> Float[Array, "*cell"]:
+    """The temperature [*cell] [K] at which tables are read: T, and limit exp(T / limit - 1) below a limit [K].
+
+    That is once continuously differentiable and at least limit / e, so that what is extrapolated stays finite down to
+    0 K.
+    """
+    return jnp.where(temperature < limit, limit * jnp.exp(jnp.minimum(temperature / limit, 1) - 1), temperature)
+
+
 def require_cells(name: str, fields: list[Array], temperature: Array) -> None:
     """Raise `ValueError` unless every field of the gas `name` is a scalar or has the cells of `temperature`."""
     if any(field.shape not in ((), temperature.shape) for field in fields):

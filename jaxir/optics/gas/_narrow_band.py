@@ -16,7 +16,14 @@ from jaxir._fields import quantity
 from jaxir._plausible import PASCAL, doubt, usual
 from jaxir.optics._tables import ABSENT, HOT_GAS_EDGES, HOT_GAS_TEMPERATURE, hot_gas, overlap_matrix
 from jaxir.optics.gas._combustion import NITROGEN_PER_OXYGEN
-from jaxir.optics.gas._gas import COLD, AbstractGas, require_cells, require_uniform, sum_of_mole_fractions
+from jaxir.optics.gas._gas import (
+    COLD,
+    AbstractGas,
+    no_colder,
+    require_cells,
+    require_uniform,
+    sum_of_mole_fractions,
+)
 from jaxir.optics.gas._k_distribution import log_quantile, quantile_series
 from jaxir.optics.gas._spline import spline_matrix, spline_weights
 from jaxir.optics.spectrum import Nodes, bins_inside, quantile_index
@@ -55,8 +62,9 @@ class NarrowBandGas(AbstractGas):
     these; for better accuracy use line lists.
 
     ln k and ln 1/d are cubic splines in ln T between 300 and 2500 K (they err by less than 1 % where the gas matters)
-    and straight lines in ln T beyond: values and gradients stay smooth through cold cells and hot iterates, and are
-    untested outside the range: cells below 200 or above 2500 K are warned of (`PlausibilityWarning`). The table spans
+    and straight lines in ln T beyond, in T below 200 K: values and gradients stay smooth and finite through cold cells
+    and hot iterates, and are untested outside the range: cells below 200 or above 2500 K are warned of
+    (`PlausibilityWarning`). The table spans
     800-9300 cm-1 (1.08-12.5 um); above it the gas is transparent.
 
     Attributes:
@@ -244,6 +252,7 @@ def _spline() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _level_weights(temperature: Float[Array, "*cell"]) -> Float[Array, "*cell level"]:
-    """Weights of the table's temperatures: a cubic spline in ln T, continued by its tangents."""
+    """Weights of the table's temperatures: a cubic spline in ln T, continued by its tangents, see `no_colder`."""
     levels, matrix = _spline()
-    return spline_weights(as_float(levels), as_float(matrix), jnp.log(temperature))
+    held = no_colder(temperature, COLD * HOT_GAS_TEMPERATURE[0])
+    return spline_weights(as_float(levels), as_float(matrix), jnp.log(held))
