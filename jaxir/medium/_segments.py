@@ -8,6 +8,7 @@ The geometry of rays is a few arrays and, statically, the shape of their grid:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -51,17 +52,32 @@ def adjoint_rays(rays: int, nodes: int) -> int:
     return max(1, min(CHUNK, rays, max(FEW, 1024 // max(nodes, 1))))
 
 
-def _chunked(array: Array, size: int) -> Array:
-    """[ray, ...] to [chunk, size, ...], filled up with zeros: a ray of direction 0 misses everything."""
-    count = -(-array.shape[0] // size)
-    padding = [(0, count * size - array.shape[0])] + [(0, 0)] * (array.ndim - 1)
-    return jnp.pad(array, padding).reshape((count, size) + array.shape[1:])
+def _chunked(array: Array, group: int, size: int) -> Array:
+    """[ray, ...] to [group, chunk, size, ...], filled up with zeros: a ray of direction 0 misses everything."""
+    count = -(-array.shape[0] // (group * size))
+    padding = [(0, count * group * size - array.shape[0])] + [(0, 0)] * (array.ndim - 1)
+    return jnp.pad(array, padding).reshape((count, group, size) + array.shape[1:])
+
+
+def _chunks_together(state: Any, rays: int, size: int) -> int:
+    """How many chunks are summed together before their sum is added to that of the others.
+
+    One number to which a million rays add, one after the other, loses three digits of float32. Sums of about the square
+    root of all rays, and as many of them, keep them; a field of many cells gets fewer sums, as it gets fewer rays for
+    each cell, so that adding fields costs less than crossing them.
+    """
+    cells = max((leaf.shape[0] for leaf in jax.tree.leaves(state)), default=0)
+    every = -(-rays // size)
+    return min(every, max(1, -(-max(math.isqrt(rays), cells) // size))) if cells else max(every, 1)
 
 
 def over_chunks(
     function: Callable, state: Any, size: int, geometry: Lists, per_ray: Lists, shape: Shape
 ) -> tuple[Any, Any]:
-    """Call `function(state, route, *per_ray) -> (state, [ray, ...])` chunk after chunk of `size` rays."""
+    """Call `function(state, route, *per_ray) -> (state, [ray, ...])` chunk after chunk of `size` rays.
+
+    The state is a sum over rays that begins at 0, or nothing.
+    """
     if shape is None:
         each_ray = tuple(jnp.pad(x, ((0, 0), (0, -x.shape[1] % 3))) for x in geometry)
     else:
@@ -73,8 +89,14 @@ def over_chunks(
         route = _listed(*ahead) if shape is None else jax.vmap(start_walk, in_axes=(None, 0, 0, 0))(grid, *ahead)
         return function(state, route, *chunk[parts:])
 
-    state, out = lax.scan(step, state, tuple(_chunked(array, size) for array in (*each_ray, *per_ray)))
-    return state, jax.tree.map(lambda x: x.reshape((-1,) + x.shape[2:])[: each_ray[0].shape[0]], out)
+    def group(total, chunks):
+        part, out = lax.scan(step, state, chunks)
+        return jax.tree.map(jnp.add, total, part), out
+
+    rays = each_ray[0].shape[0]
+    together = _chunks_together(state, rays, size)
+    total, out = lax.scan(group, state, tuple(_chunked(array, together, size) for array in (*each_ray, *per_ray)))
+    return total, jax.tree.map(lambda x: x.reshape((-1,) + x.shape[3:])[:rays], out)
 
 
 def _listed(cell: Array, length: Array) -> Listed:

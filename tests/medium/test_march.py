@@ -324,3 +324,22 @@ def test_many_equal_cells_keep_single_precision(depth, precision):
     got = march(grid, mu, 3 * mu, rays, as_float([np.inf]), as_float([[0.5]]))
     exact = 3 * -np.expm1(-800 * 0.25 * float(mu[0, 0, 0, 0])) + 0.5 * np.exp(-200 * float(mu[0, 0, 0, 0]))
     np.testing.assert_allclose(got[0, 0], exact, rtol=1e-5 if precision == "float32" else 1e-12)
+
+
+def test_a_million_rays_add_to_one_number_in_single_precision():
+    """Their cotangents, one after the other, lost .2 and .7 % of the gradients of one cell."""
+    count, mu, j, reach = 1_000_000, 0.7, 300.0, 1.0
+    at = jnp.full((count, 3), jnp.asarray([-1.0, 0.4, 0.6]))
+    rays = Rays(at, jnp.zeros_like(at).at[:, 0].set(1))
+    grid = Grid((0.0, 0.0, 0.0), (reach, 1.0, 1.0), (1, 1, 1))
+
+    def total(mu, j):
+        cells = [jnp.full((1, 1, 1, 1), x) for x in (mu, j)]
+        dark = jnp.zeros((count, 1))
+        weights = jnp.full((count, 1), 1.03)
+        return jnp.sum(weights * march(grid, *cells, rays, jnp.full(count, jnp.inf), dark)) / count
+
+    got = jax.jit(jax.grad(total, (0, 1)))(mu, j)
+    u = mu * reach
+    mean, slope = -np.expm1(-u) / u, (np.exp(-u) * (1 + u) - 1) / u**2  # of exp(-u), and its derivative
+    np.testing.assert_allclose(got, [1.03 * j * reach**2 * slope, 1.03 * reach * mean], rtol=2e-5)

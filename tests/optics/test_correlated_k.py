@@ -258,6 +258,18 @@ def test_cross_sections_of_any_temperature_are_finite(temperature):
     assert cold[0] == pytest.approx(cold[1], rel=2e-2)
 
 
+@pytest.mark.parametrize("temperature", [1.0, 300.0, 900.0, 4000.0])
+def test_slopes_of_the_coefficient_are_finite_and_right(temperature, precision):
+    """In temperature, where k T squared is beyond float32: -kappa / T if the cross-section is constant."""
+    table = CrossSections("CO2", cast(NODES), [300.0, 2500.0], [1e5], [0.1], np.full((2, 1, 1, NODES.count), 1e-24))
+
+    def kappa(t):
+        return CorrelatedK((table,), 1e5, {"CO2": 0.1}).absorption(cast(NODES), t[None])[0]
+
+    value, slope = jax.jvp(kappa, (jnp.asarray(temperature),), (jnp.asarray(temperature),))
+    np.testing.assert_allclose(slope, -value, rtol=1e-5)
+
+
 def test_gas_that_is_not_there_has_a_finite_gradient(raw_table, precision):
     table, nodes = cast(raw_table), cast(NODES)
     hot = jnp.asarray([255.0, 900.0])

@@ -218,7 +218,7 @@ class CorrelatedK(AbstractGas):
         """
         require_cells("CorrelatedK", self._fields(), temperature)
         require(self.node_checks(nodes))
-        density = self.pressure / (BOLTZMANN * temperature)
+        density = self.pressure / temperature / BOLTZMANN  # the inverse square of k T is no float32
         parts = []
         for table in self.tables:
             amount = self.mole_fractions[table.species]
