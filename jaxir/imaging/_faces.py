@@ -30,8 +30,8 @@ def unoccluded_intensity(
 
         I = sum_f A_f max(n_f . o, 0) L_f(o)
 
-    Exact for convex bodies and for plane surfaces; an upper bound otherwise, refused unless asked for. Backs of faces
-    do not count.
+    Exact for closed convex bodies and for plane surfaces from in front; else refused unless asked for: an upper bound
+    where no face is seen from behind. Backs of faces do not count.
 
     Args:
         scene: skin, with sources and air if present; no plume. The background is not subtracted.
@@ -57,8 +57,8 @@ def unoccluded_intensity(
     if not upper_bound and vertices is not None and vertices.ndim == 2:
         if not is_convex(vertices, np.asarray(scene.skin.mesh.faces)):
             raise ValueError(
-                "scene.skin: got faces that may hide one another, expected a convex body or a plane surface; use "
-                "render or signature, or upper_bound=True"
+                "scene.skin: got faces that may hide one another or be seen from behind, expected a closed convex body "
+                "or a plane surface; use render or signature, or upper_bound=True"
             )
     nodes = scene_nodes(scene, bands)
     return _summed(scene, enforce(nodes, scene.checks_on(nodes)), view_frame(azimuth, elevation))

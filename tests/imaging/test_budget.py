@@ -1,5 +1,7 @@
 """What stands behind an intensity: the nodes by default, light in a band, and every part of the error told."""
 
+import contextlib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -152,6 +154,12 @@ def test_faces_that_hide_one_another_are_refused_unless_a_bound_is_asked():
     with pytest.raises(ValueError, match="scene.skin: got faces that may hide one another"):
         jaxir.unoccluded_intensity(scene, 0.0, 0.0, LWIR)
     assert float(jaxir.unoccluded_intensity(scene, 45.0, 45.0, LWIR, upper_bound=True)[0]) > 0
+    box = box_mesh()
+    without_a_side = jaxir.Mesh(box.vertices, np.asarray(box.faces)[2:])  # from there its inside is seen: 49, not 13
+    for mesh, refused in ((box, False), (without_a_side, True)):
+        bodies = jaxir.Scene(jaxir.Skin(mesh, 300.0, jaxir.Lambert(1.0)))
+        with pytest.raises(ValueError, match="seen from behind") if refused else contextlib.nullcontext():
+            jaxir.unoccluded_intensity(bodies, 180.0, 20.0, LWIR)
 
 
 @pytest.mark.parametrize("distance", [4.0, 8.0])

@@ -49,9 +49,10 @@ def is_closed(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> boo
 
 
 def is_convex(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> bool:
-    """Whether no vertex rises over the plane of any face, but by rounding; of faces turned both ways none may.
+    """Whether faces bound a convex body or lie in one plane.
 
-    Then no face hides or shades the front of another. Looks at every face and the vertices of the convex hull alone.
+    No vertex rises over the plane of any face, but by rounding. Then no face hides or shades the front of another, and
+    no back is seen, but that of a plane. Looks at every face and the vertices of the convex hull alone.
 
     Args:
         vertices: [vertex, 3] [m].
@@ -72,8 +73,9 @@ def is_convex(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> boo
         points = points[np.unique(extremes)]
     own = np.einsum("fk,fk->f", normal, p[solid][:, 0])
     grain = 64 * np.finfo(vertices.dtype).eps * np.abs(points).max()
-    rise = [(normal @ some.T).max(axis=1) for some in np.array_split(points, -(-len(points) // 256))]
-    return bool((np.max(rise, axis=0) - own <= grain).all())
+    height = [normal @ some.T - own[:, None] for some in np.array_split(points, -(-len(points) // 256))]
+    highest, lowest = max(part.max() for part in height), min(part.min() for part in height)
+    return bool(highest <= grain and (lowest >= -grain or is_closed(vertices, faces)))
 
 
 def _merge(vertices: NDArray[np.floating]) -> NDArray[np.integer]:

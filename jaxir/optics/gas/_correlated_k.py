@@ -120,7 +120,8 @@ class CrossSections(eqx.Module):
         NaN where they are not known.
         """
         inverse, log_pressure, amount = (
-            np.asarray(known(axis.levels), np.float64) for axis in (self.temperature, self.pressure, self.mole_fraction)
+            np.atleast_1d(np.asarray(known(axis.levels), np.float64))
+            for axis in (self.temperature, self.pressure, self.mole_fraction)
         )
         return {"temperature": -_KELVIN / inverse, "pressure": np.exp(log_pressure), "mole_fraction": amount}
 
