@@ -579,9 +579,10 @@ def _laws(structure: Structure, fixed: dict, values: dict, weight: dict, key: An
     forward = jnp.sum(along * cotangent)
     products = jax.tree.leaves(jax.tree.map(lambda g, t: jnp.where(t != 0, g * t, 0), gradient, tangent))
     reverse = sum(jnp.sum(p) for p in products)
-    scale = sum(jnp.sum(jnp.abs(p)) for p in products) + jnp.sum(jnp.abs(once) + jnp.abs(along)) + 1e6 * tiny
-
     blackbody = jaxir.band_radiance(hottest, nodes)
+    # of what is behind an optical depth of 64 the adjoint sees nothing: e^-64 of what is there at most
+    scale = sum(jnp.sum(jnp.abs(p)) for p in products) + jnp.sum(jnp.abs(once) + jnp.abs(along))
+    scale = scale + 1e-18 * blackbody.max() + 1e6 * tiny
     blackbody = blackbody if structure.how != "image" else nodes.in_band(blackbody)
     blackbody = blackbody.reshape((1,) * (once.ndim - 1) + (-1,))
     light = jnp.abs(twice) + jnp.abs(dark) + tiny
