@@ -1,5 +1,6 @@
 """Fields over grids and faces from files."""
 
+from jaxir.io._axes import Axes as Axes
 from jaxir.io.field._cfd import load_flow as load_flow
 from jaxir.io.field._face_values import load_array as load_array
 from jaxir.io.field._face_values import load_face_values as load_face_values

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxir.geometry.search import Mesh
+from jaxir.io._axes import Axes, metres
 from jaxir.io.field._datasets import finite_scalar, read_dataset, require_pyvista
-from jaxir.io.mesh import METRES
 
 FARTHEST = 0.1  # of the mesh's size: a surface whose median distance is larger belongs to another body or unit
 _CORNERS = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6  # centroids of the four quarters of a triangle
@@ -54,7 +54,13 @@ class SurfaceField(NamedTuple):
 
 
 def load_surface_field(
-    path: str | os.PathLike, mesh: Mesh, field: str, *, unit: str, time: float | None = None
+    path: str | os.PathLike,
+    mesh: Mesh,
+    field: str,
+    *,
+    unit: Any,
+    time: float | None = None,
+    axes: Axes | None = None,
 ) -> SurfaceField:
     """Read a field of a computed surface and transfer it to the faces of a mesh.
 
@@ -65,10 +71,11 @@ def load_surface_field(
     Args:
         path: VTK file (.vtp, .vtu, .vtk, .vtm), the .foam file of an OpenFOAM case (its walls), or any other format
             that pyvista reads.
-        mesh: the faces, in the frame of the file.
+        mesh: the faces.
         field: name of the scalar field.
-        unit: length unit of the file's coordinates: m, cm, mm, km, in or ft.
+        unit: length unit of the file's coordinates: m, cm, mm, km, in, ft, or its metres.
         time: of a file with several; the last by default.
+        axes: where the body axes, those of the mesh, are in the file; those of the file by default.
 
     Returns:
         The field on the faces, with the report.
@@ -80,10 +87,9 @@ def load_surface_field(
     """
     pyvista = require_pyvista()
     file = Path(path)
-    if unit not in METRES:
-        raise ValueError(f"unit: got {unit!r}, expected one of {', '.join(METRES)}")
+    length, placed = metres(unit), axes or Axes()
     surface = _triangles(pyvista, file, read_dataset(pyvista, file, time), field)
-    surface.points = np.asarray(surface.points, np.float64) * METRES[unit]
+    surface.points = placed.to_body(np.asarray(surface.points, np.float64), length)
     corners = np.asarray(mesh.corners(), np.float64)
     points = np.einsum("qc,fcx->fqx", _CORNERS, corners)
     value, distance = _nearest(surface, field, points.reshape(-1, 3))

@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from jaxir.geometry.search import Mesh
+from jaxir.io._axes import Axes, metres
 from jaxir.io._files import require_file
 from jaxir.io.mesh._file_mesh import FileMesh, require_corners
 from jaxir.io.mesh._obj import read_obj
@@ -21,7 +22,6 @@ from jaxir.io.mesh._off import read_off
 from jaxir.io.mesh._ply import read_ply
 from jaxir.io.mesh._stl import read_stl
 
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048}
 FARTHEST = 1e9  # [m] of a coordinate, as of `Mesh`
 _READERS = {".obj": read_obj, ".off": read_off, ".ply": read_ply, ".stl": read_stl}
 
@@ -40,7 +40,7 @@ class Body(NamedTuple):
     part_names: tuple[str, ...]
 
 
-def load_mesh(path: str | os.PathLike, *, unit: str) -> Body:
+def load_mesh(path: str | os.PathLike, *, unit: Any, axes: Axes | None = None) -> Body:
     """Read STL, OBJ, PLY, GLB or whatever else trimesh reads.
 
     Nothing is merged, reordered or repaired, so that per-face arrays made for the file keep fitting. Faces of zero
@@ -48,11 +48,13 @@ def load_mesh(path: str | os.PathLike, *, unit: str) -> Body:
 
     Args:
         path: the file.
-        unit: length unit of its coordinates: m, cm, mm, km, in or ft. There is no default: files do not say.
+        unit: length unit of its coordinates: m, cm, mm, km, in, ft, or its metres. There is no default: files do not
+            say.
+        axes: where the body axes are in the file; those of the file by default.
 
     Returns:
-        The mesh in metres with its parts: objects of the file, in OBJ its objects and groups (`read_obj`), one part
-        for formats without objects (see `split_bodies`).
+        The mesh in body axes and metres with its parts: objects of the file, in OBJ its objects and groups
+        (`read_obj`), one part for formats without objects (see `split_bodies`).
 
     Raises:
         ValueError: unknown unit, no such file, unreadable or cut file, fewer or more faces than its header says, a
@@ -60,19 +62,19 @@ def load_mesh(path: str | os.PathLike, *, unit: str) -> Body:
             message names the file.
     """
     file = Path(path)
-    if unit not in METRES:
-        raise ValueError(f"unit: got {unit!r}, expected one of {', '.join(METRES)}")
+    length, placed = metres(unit), axes or Axes()
     require_file(file)
     vertices, all_faces, part, names = _read(file)
     if len(all_faces) == 0:
         raise ValueError(f"{file}: holds no triangles")
     with np.errstate(over="ignore"):
-        all_vertices = vertices * METRES[unit]
+        all_vertices = vertices * length
     bad = np.flatnonzero(~(np.abs(all_vertices) < FARTHEST).all(axis=1))
     if bad.size:
         raise ValueError(
             f"{file}: vertex {bad[0]} is {all_vertices[bad[0]]} m, expected finite coordinates below {FARTHEST:g} m"
         )
+    all_vertices = placed.to_body(all_vertices, 1.0)
     flat = zero_area_faces(all_vertices, all_faces)
     if flat.size == len(all_faces):
         raise ValueError(f"{file}: all {flat.size} faces have zero area")

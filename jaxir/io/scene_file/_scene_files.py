@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxir._arrays import enforce
+from jaxir._arrays import as_float, enforce
 from jaxir.geometry import Camera
 from jaxir.imaging import render, signature
 from jaxir.io.field import load_flow
@@ -103,6 +103,7 @@ class SceneFile(NamedTuple):
             width, height = (float(size) for size in camera.pixel)
             pixels = f"{rows} x {columns} pixels of {height:.4g} x {width:.4g} m at the target"
             lines.append(f"camera{f' {name}' if name else ''}: {pixels}")
+            lines += [f"  {part}: {_pixels(points, camera)}" for part, points in _outlines(scene).items()]
         if "views" in self.signature:
             lines.append(f"signature: {len(self.signature['views'])} views")
         return "\n".join(lines)
@@ -111,18 +112,50 @@ class SceneFile(NamedTuple):
 def _describe_plume(plume: AbstractPlume) -> str:
     parts = [getattr(plume, name, None) for name in ("gas", "particles")]
     made_of = " with ".join(type(part).__name__ for part in parts if part is not None)
-    return f"plume: {type(plume).__name__} of {made_of}, up to {float(plume.hottest()):.4g} K"
+    hottest = f"up to {float(plume.hottest()):.4g} K"
+    return f"plume: {type(plume).__name__} of {made_of}, {hottest}, {_ranges(np.asarray(plume.extent()))}"
+
+
+def _outlines(scene: Scene) -> dict[str, np.ndarray]:
+    """Points [point, 3] whose outline is that of the skin, of its parts, and of each plume."""
+    found = {}
+    if scene.skin is not None:
+        corners = np.asarray(scene.skin.mesh.corners(), np.float64)
+        found["skin"] = corners.reshape(-1, 3)
+        part = np.asarray(scene.skin.part)
+        parts = {f"part {name}": corners[part == i].reshape(-1, 3) for i, name in enumerate(scene.skin.part_names)}
+        found |= {name: points for name, points in parts.items() if points.size and len(parts) > 1}
+    several = len(scene.plumes) > 1
+    return found | {
+        f"plume {i}" if several else "plume": np.asarray(p.extent(), np.float64) for i, p in enumerate(scene.plumes)
+    }
+
+
+def _ranges(points: np.ndarray) -> str:
+    """Where points [point, 3] lie."""
+    ends = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
+    return ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in ends) + " m"
+
+
+def _pixels(points: np.ndarray, camera: Camera) -> str:
+    """What points [point, 3] span in an image."""
+    screen = np.asarray(camera.project(as_float(points)), np.float64) / np.asarray(camera.pixel)
+    columns, rows = np.ptp(screen, axis=0)
+    beyond = (np.abs(screen) > np.array(camera.shape[::-1]) / 2).any()
+    return f"{rows:.3g} x {columns:.3g} pixels{', beyond the frame' if beyond else ''}"
 
 
 def _describe_skin(skin: Skin) -> list[str]:
     mesh, part, temperature = skin.mesh, np.asarray(skin.part), np.asarray(skin.temperature)
     size = " x ".join(f"{s:.4g}" for s in np.ptp(np.asarray(mesh.vertices, np.float64), axis=0))
     closed = "closed" if mesh.closed else "not closed or not outward"
-    lines = [f"skin: {mesh.count} faces, {size} m, {closed}"]
+    lines = [f"skin: {mesh.count} faces, {size} m, {closed}, {_ranges(np.asarray(mesh.vertices))}"]
+    corners = np.asarray(mesh.corners())
     for index, name in enumerate(skin.part_names):
         own = temperature[part == index]
         if own.size:
-            lines.append(f"  part {name}: {own.size} faces, {own.min():.4g} to {own.max():.4g} K")
+            held = f"{own.size} faces, {own.min():.4g} to {own.max():.4g} K"
+            lines.append(f"  part {name}: {held}, {_ranges(corners[part == index].reshape(-1, 3))}")
     return lines
 
 

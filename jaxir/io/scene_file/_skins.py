@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxir.geometry.search import Mesh
 from jaxir.io.field import load_face_values, load_surface_field
-from jaxir.io.mesh import Body, load_mesh, split_bodies
+from jaxir.io.mesh import Axes, Body, load_mesh, split_bodies
 from jaxir.io.scene_file._entries import (
     Entry,
     Reader,
@@ -20,7 +20,6 @@ from jaxir.io.scene_file._entries import (
     construct,
     existing_file,
     integer,
-    number,
     numbers,
     one_of,
     text,
@@ -58,7 +57,7 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
         faces = np.arange(body.mesh.count) if change is everywhere else _faces(change, part, names)
         given = change.children()
         if "temperature" in given:
-            temperature[faces] = face_temperature(given["temperature"], body.mesh, faces)
+            temperature[faces] = face_temperature(given["temperature"], body.mesh, faces, readers)
         if "brdf" in given:
             brdf = readers["brdf"](given["brdf"])
             if brdf.shape()[0] not in (1, faces.size if change is everywhere else 1):
@@ -76,8 +75,8 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
 
 
 def _body(entry: Entry, readers: Mapping[str, Reader]) -> Body:
-    def bodies(path: Path, *, unit: str) -> Body:
-        return split_bodies(load_mesh(path, unit=unit))
+    def bodies(path: Path, *, unit: Any, axes: Axes | None = None) -> Body:
+        return split_bodies(load_mesh(path, unit=unit, axes=axes))
 
     def inline(vertices: Any, faces: Any) -> Body:
         mesh = Mesh(vertices, np.asarray(faces, np.int64))
@@ -121,14 +120,12 @@ def _face_list(entry: Entry, count: int) -> np.ndarray:
     return faces.astype(np.int64)
 
 
-def face_temperature(entry: Entry, mesh: Mesh, faces: np.ndarray) -> np.ndarray:
+def face_temperature(entry: Entry, mesh: Mesh, faces: np.ndarray, readers: Mapping[str, Reader]) -> np.ndarray:
     """Temperatures of some faces [face]: a number, a list, a file with a value per face, or a computed surface."""
     if isinstance(entry.value, dict) and "path" in entry.value:
         if existing_file(entry.children()["path"]).suffix in (".csv", ".npz", ".npy"):
-            readers = {"path": existing_file, "column": text}
-            return construct(entry, load_face_values, readers, count=faces.size)
-        readers = {"path": existing_file, "field": text, "unit": text, "time": number}
-        return construct(entry, load_surface_field, readers, mesh=mesh).value[faces]
+            return construct(entry, load_face_values, {**readers, "column": text}, count=faces.size)
+        return construct(entry, load_surface_field, {**readers, "field": text}, mesh=mesh).value[faces]
     value = np.asarray(numbers(entry))
     if value.shape not in ((), (faces.size,)):
         raise entry.wrong(f"one number or {faces.size}, one per face")

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxir.geometry import Grid, Independent, Lattice, Sobol, Stratified, orthographic_camera, perspective_camera
-from jaxir.io.mesh import METRES
+from jaxir.io.mesh import METRES, Axes
 from jaxir.io.scene_file._entries import (
     Entry,
     Reader,
@@ -126,6 +126,16 @@ def _field_values(entry: Entry) -> dict[str, float]:
     return {name: number(child) for name, child in entry.children().items()}
 
 
+def _unit(entry: Entry) -> str | float:
+    """The name of a length unit, or its metres."""
+    return number(entry) if isinstance(entry.value, (int, float)) else one_of(list(METRES))(entry)
+
+
+def _direction(entry: Entry) -> Any:
+    """A direction by name, or three numbers."""
+    return text(entry) if isinstance(entry.value, str) else numbers(entry)
+
+
 def _per_node(entry: Entry) -> float | np.ndarray:
     """Numbers; a field over a grid holds in every node."""
     value = numbers(entry)
@@ -136,6 +146,7 @@ def _key(entry: Entry) -> Any:
     return jax.random.key(integer(entry))
 
 
+AXES: dict[str, Callable] = {"Axes": Axes}
 BANDS = {band.name: band for band in (SWIR, MWIR, LWIR)}
 BRDFS: dict[str, Callable] = {
     "Lambert": Lambert,
@@ -209,6 +220,8 @@ def _of(constructors: dict[str, Callable]) -> Reader:
 
 # How the values of parameters are read, whatever constructor they belong to; those not named here are numbers.
 READERS: dict[str, Reader] = {
+    "axes": _of(AXES),
+    "axisymmetric": one_of(list("xyz")),
     "bands": band_list,
     "bounces": integer,
     "brdf": _of(BRDFS),
@@ -223,8 +236,10 @@ READERS: dict[str, Reader] = {
     "irradiance": _light,
     "lights": integer,
     "mole_fractions": _number_table,
+    "molar_masses": _field_values,
     "name": text,
     "order": integer,
+    "nose": _direction,
     "orders": integer,
     "pair_points": integer,
     "panels": integer,
@@ -242,9 +257,12 @@ READERS: dict[str, Reader] = {
     "skin_light": _of({"SkinLight": SkinLight}),
     "table": _mie,
     "tables": _k_tables,
-    "unit": one_of(list(METRES)),
+    "up": _direction,
+    "unit": _unit,
 }
 RENDER_READERS: dict[str, Reader] = {
+    "axes": _of(AXES),
+    "axisymmetric": one_of(list("xyz")),
     **READERS,
     "key": _key,
     "max_samples": integer,
