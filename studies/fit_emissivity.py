@@ -51,7 +51,7 @@ def main(run: Run) -> str:
     baseline = finite_differences(lambda z: residual(problem, z), problem.coordinates.origin())
 
     quick = prepare(start, parameters, [measured_intensity(start, VIEWS, BANDS, noisy, spread, **COARSE)])
-    reference = np.asarray(quick.observations[0].predict_halves(scene(TRUTH)).mean(axis=0))
+    reference = np.asarray(quick.observations[0].predict_halves(scene(TRUTH)).mean(axis=(0, 1)))
     inside = []
     for _ in tqdm(range(DRAWS), desc="coverage", leave=False):
         got = solve(quick.with_values([reference + spread * rng.normal(size=exact.shape)])).uncertainty

@@ -23,9 +23,10 @@ from jaxir.scene import Lit, Scene
 from jaxir.transport import Paths, evaluate, store_route, trace
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
+BLOCKS = 8  # of an image's pixels, whose sampling errors are independent
 SLICE = 64  # rays in a slice, at most
 CURVE = 12  # bits of the raster, along the longer side of an image, on which rays are put in order
-ROUND = 8  # slices of a chunk are a multiple of it, so that a few rays more or less compile nothing anew
+ROUND = 8  # slices of a chunk are a multiple of it, of many an eighth, so that a few rays more compile nothing anew
 
 
 class RaySum(eqx.Module):
@@ -34,7 +35,7 @@ class RaySum(eqx.Module):
     Attributes:
         paths: of the rays; every leaf has a leading axis [chunk], the rays of a chunk lie slice by slice.
         weight: 0 for a place that no ray fills [chunk, slice, place].
-        group: row + (number of rows) * half of the rays of a slice [chunk, slice].
+        group: row + (number of rows) * (half + 2 * block) of the rays of a slice [chunk, slice].
     """
 
     paths: Paths
@@ -57,36 +58,41 @@ class Observation(eqx.Module):
     """A measurement with the traced paths that predict it.
 
     The prediction of a row is base * L_empty + sum over its rays of weight * (L - L_empty). Rays of the two halves are
-    the two independent points of each stratum of a pixel, so the difference of the halves' predictions tells the
-    sampling error.
+    the two independent points of each stratum of a pixel, so the difference of the halves' sums tells the sampling
+    error, and in each block of the pixels of an intensity it tells it anew.
 
     Attributes:
         measurement: what was measured.
         scene: what was traced.
         through: rays on which a plume acts; None without.
         beside: rays that meet skin and on which no plume acts; None without.
+        blocks: of each row's rays.
     """
 
     measurement: Measurement
     scene: Scene
     through: RaySum | None
     beside: RaySum | None
+    blocks: int = eqx.field(static=True)
 
-    def predict_halves(self, scene: Scene) -> Float[Array, "2 row band"]:
-        """Predictions of both halves of the rays; their mean is the prediction. Differentiable as `evaluate`."""
+    def predict_halves(self, scene: Scene) -> Float[Array, "block 2 row band"]:
+        """Predictions, each by one half of one block as if it were all; their mean is the prediction.
+
+        Differentiable as `evaluate`.
+        """
         measurement = self.measurement
         nodes, (rows, bands) = measurement.nodes, measurement.value.shape
         lit = scene.on(nodes)
-        totals = jnp.zeros((2 * rows, bands), measurement.value.dtype)
+        totals = jnp.zeros((2 * self.blocks * rows, bands), measurement.value.dtype)
         if self.through is not None:
             totals = self.through.add(lit, totals)
         if self.beside is not None:
             totals = self.beside.add(lit.without_plumes(), totals)
-        contrast = 2 * totals.reshape((2, rows, bands))
+        contrast = 2 * self.blocks * totals.reshape((self.blocks, 2, rows, bands))
         if not measurement.per_pixel:
             return contrast
         direction = measurement.cameras.frame[0, 2:]  # any: the background is uniform, see `observe`
-        return contrast + nodes.in_band(lit.empty(direction))[None]
+        return contrast + nodes.in_band(lit.empty(direction))[None, None]
 
     @eqx.filter_jit
     def effective_share(self, scene: Scene) -> Float[Array, ""]:
@@ -131,11 +137,13 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
         raise ValueError(f"measurement: got images before a {type(background).__name__}, expected a uniform background")
     measurement = eqx.tree_at(lambda m: m.cameras, measurement, _widened(measurement, scene))
     for_pixels, for_through, for_beside = jax.random.split(key, 3)
+    merging = not scene.plumes and _alike(scene, measurement)  # rays of one block alone merge
+    blocks = 1 if measurement.per_pixel or merging else BLOCKS
     views = []
     for view in range(measurement.cameras.pixel.shape[0]):
         camera = jax.tree.map(lambda leaf, index=view: leaf[index], measurement.cameras)
         rays = _rays_of_view(scene, camera, jax.random.fold_in(for_pixels, view), measurement.samples)
-        views.append(_with_rows(rays, view, measurement))
+        views.append(_with_rows(rays, view, measurement, blocks))
     rays = jax.tree.map(lambda *leaves: np.concatenate(leaves), *views)
     crosses, on_skin = np.asarray(rays.crosses), np.asarray(rays.face) >= 0
     if not (crosses | on_skin).any():
@@ -148,7 +156,7 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
     bare = scene if scene.skin is None else eqx.tree_at(lambda s: s.plumes, scene, ())
     beside = _merged(bare, measurement, _gather(rays, np.flatnonzero(on_skin & ~crosses)))
     sums = ray_sum(scene, measurement, through, for_through), ray_sum(bare, measurement, beside, for_beside)
-    return Observation(measurement, scene, *sums)
+    return Observation(measurement, scene, *sums, blocks)
 
 
 def _lit_by_others(scene: Scene, measurement: Measurement) -> bool:
@@ -217,14 +225,19 @@ def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> Vie
     return jax.tree.map(lambda leaf: leaf[order], ViewRays(rays, spread(area / samples), group, face, crosses))
 
 
-def _with_rows(rays: ViewRays, view: int, measurement: Measurement) -> ViewRays:
-    """Groups and weights of a measurement; rays beyond an image's edge dropped."""
+def _with_rows(rays: ViewRays, view: int, measurement: Measurement, blocks: int) -> ViewRays:
+    """Groups and weights of a measurement; rays beyond an image's edge dropped.
+
+    Blocks are diagonal lines of pixels, so that all are alike and a straight edge crosses all.
+    """
     rays = _gather(rays, np.flatnonzero(np.asarray(rays.group) >= 0))
     if measurement.per_pixel:
         return eqx.tree_at(lambda r: r.weight, rays, np.full_like(rays.weight, 1 / measurement.samples))
-    pixels = measurement.cameras.shape[0] * measurement.cameras.shape[1]
+    height, width = measurement.cameras.shape
+    half, pixel = np.divmod(rays.group, height * width)
+    block = (pixel % width + 3 * (pixel // width)) % blocks
     rows = measurement.value.shape[0]
-    return eqx.tree_at(lambda r: r.group, rays, view + rows * (rays.group >= pixels).astype(np.int32))
+    return eqx.tree_at(lambda r: r.group, rays, (view + rows * (half + 2 * block)).astype(np.int32))
 
 
 def _gather(rays: ViewRays, index: np.ndarray) -> ViewRays:
@@ -232,16 +245,10 @@ def _gather(rays: ViewRays, index: np.ndarray) -> ViewRays:
 
 
 def _merged(scene: Scene, measurement: Measurement, rays: ViewRays) -> ViewRays:
-    """One ray for all that meet one face in one view with the same sources in sight.
-
-    They have the same radiance where every ray of a view has one direction and light comes from parallel sources
-    alone.
-    """
-    method = measurement.method.resolved(scene)
-    parallel = all(source.travel is not None for source in scene.delta_sources)
-    alike = parallel and not method.needs_key(scene)
-    if not alike or bool((measurement.cameras.inverse_range > 0).any()) or rays.face.size == 0:
+    """One ray for all of one group that meet one face with the same sources in sight, where they are `_alike`."""
+    if not _alike(scene, measurement) or rays.face.size == 0:
         return rays
+    method = measurement.method.resolved(scene)
     kinds = [np.asarray(rays.group), np.asarray(rays.face)]
     if scene.delta_sources:
         vertex = eqx.filter_jit(trace)(scene, rays.rays, method).first.vertex
@@ -250,6 +257,16 @@ def _merged(scene: Scene, measurement: Measurement, rays: ViewRays) -> ViewRays:
     _, first, kind = np.unique(np.stack(kinds), axis=1, return_index=True, return_inverse=True)
     weight = np.bincount(kind.reshape(-1), np.asarray(rays.weight, np.float64))
     return eqx.tree_at(lambda r: r.weight, _gather(rays, first), jnp.asarray(weight, rays.weight.dtype))
+
+
+def _alike(scene: Scene, measurement: Measurement) -> bool:
+    """Whether all rays of a view that meet one face with the same sources in sight have the same radiance.
+
+    So they have where they have one direction and light comes from parallel sources alone.
+    """
+    parallel = all(source.travel is not None for source in scene.delta_sources)
+    far = not bool((measurement.cameras.inverse_range > 0).any())
+    return far and parallel and not measurement.method.resolved(scene).needs_key(scene)
 
 
 def ray_sum(scene: Scene, measurement: Measurement, rays: ViewRays | None, key: Array) -> RaySum | None:
@@ -282,7 +299,8 @@ def _layout(group: np.ndarray, nodes: Nodes) -> tuple[np.ndarray, np.ndarray, np
     """
     order = np.argsort(group, kind="stable")
     _, first, counts = np.unique(group[order], return_index=True, return_counts=True)
-    places = min(SLICE, int(counts.max()))
+    widths = [SLICE >> k for k in range(SLICE.bit_length())]  # few, so that a few rays more compile nothing anew
+    places = min(widths, key=lambda width: int((-(-counts // width)).sum()) * (width + 1))  # the fewest empty places
     slices = -(-counts // places)
     begin = np.repeat(first, slices) + places * (
         np.arange(slices.sum()) - np.repeat(np.cumsum(slices) - slices, slices)
@@ -290,7 +308,8 @@ def _layout(group: np.ndarray, nodes: Nodes) -> tuple[np.ndarray, np.ndarray, np
     end = np.repeat(first + counts, slices)
     chunks = -(-begin.size * places * nodes.count // RAYS_BY_NODES)
     each = -(-begin.size // chunks)
-    each = -(-each // ROUND) * ROUND
+    step = max(ROUND, (1 << each.bit_length()) // 16)
+    each = -(-each // step) * step
     chunks = -(-begin.size // each)
     begin, end = (np.pad(edge, (0, chunks * each - edge.size)).reshape(chunks, each) for edge in (begin, end))
     place = begin[..., None] + np.arange(places)

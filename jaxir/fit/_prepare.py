@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import jax
@@ -55,10 +56,19 @@ def prepare(
     return problem
 
 
-def retraced(problem: Problem, scene: Scene) -> Problem:
-    """The same problem with the rays traced anew in another scene, with the same random numbers."""
+def retraced(problem: Problem, scene: Scene, samples: Sequence[int] | None = None) -> Problem:
+    """The same problem with the rays traced anew in another scene, with the same random key.
+
+    Args:
+        problem: what to solve.
+        scene: what to trace.
+        samples: rays per pixel of each measurement; as before by default.
+    """
     coordinates, key = problem.coordinates, problem.key
-    observed, surrogate = _observed(scene, coordinates, [o.measurement for o in problem.observations], key)
+    measured = [o.measurement for o in problem.observations]
+    if samples is not None:
+        measured = [dataclasses.replace(m, samples=n) for m, n in zip(measured, samples, strict=True)]
+    observed, surrogate = _observed(scene, coordinates, measured, key)
     return Problem(coordinates, observed, problem.priors, problem.robust, key, surrogate)
 
 

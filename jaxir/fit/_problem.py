@@ -48,11 +48,11 @@ class Problem(eqx.Module):
         measured = sum(o.measurement.value.size for o in self.observations)
         return measured + sum(prior.count(size) for prior, size in known if prior is not None)
 
-    def halves(self, z: Float[Array, " p"]) -> tuple[Float[Array, "2 row band"], ...]:
-        """Residuals of both halves of the rays, per measurement."""
+    def halves(self, z: Float[Array, " p"]) -> tuple[Float[Array, "block 2 row band"], ...]:
+        """Residuals of both halves of the rays in each block, per measurement."""
         scene = self.coordinates.scene(self.coordinates.values(z))
         predicted = ((o.measurement, o.predict_halves(scene)) for o in self.observations)
-        return tuple((halves - m.value[None]) / m.standard_deviation[None] for m, halves in predicted)
+        return tuple((halves - m.value[None, None]) / m.standard_deviation[None, None] for m, halves in predicted)
 
     def prior(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
         """Residuals of the priors."""
@@ -65,8 +65,8 @@ class Problem(eqx.Module):
         return self.stacked(self.halves(z), self.prior(z))
 
     def stacked(self, halves: tuple[Array, ...], prior: Array) -> Float[Array, " row"]:
-        """One vector of the mean of both halves and the priors."""
-        return jnp.concatenate([*(half.mean(axis=0).reshape(-1) for half in halves), prior])
+        """One vector of the mean over halves and blocks, and the priors."""
+        return jnp.concatenate([*(half.mean(axis=(0, 1)).reshape(-1) for half in halves), prior])
 
     def logarithmic(self, residual: Float[Array, " row"]) -> Float[Array, " row"]:
         """Residuals on a logarithmic scale, equal to `residual` near the solution and far flatter away from it.

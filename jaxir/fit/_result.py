@@ -131,12 +131,15 @@ class Fit(eqx.Module):
         chi_squared: sum of squared residuals, priors included, without the robust loss [].
         degrees_of_freedom: measured numbers and priors less fitted numbers.
         sampling_error: standard error that the finite number of rays puts into each value, from the two independent
-            halves of the rays of every row [p]; compare it with the standard deviation. With few rows it is a rough
+            halves of the rays of every row [p]; compare it with the standard deviation. With few rays it is a rough
             estimate.
-        sampling_chi_squared: by how much the sampling error of the prediction raises `chi_squared` [].
+        sampling_residual: what each block of the rays of a row puts into its residual, from its two halves, whose
+            squares, summed over blocks, have the sampling variance of `residual` as their mean [block, row, band].
         steps: of the solver, for the start that was best.
         starts: loss reached from every start with the rays traced first, by fewer rays where such lead [start].
         rounds: how often rays were traced.
+        samples: rays per pixel of each measurement, those given and those taken; more of them where the noise of those
+            given exceeded that of the data.
         effective_share: of the directions that the traced brdf drew, for the fitted one; 1 where none were drawn [].
         drifted: whether rays should have been traced once more.
         solver_result: optimistix's result code of the best start.
@@ -152,10 +155,11 @@ class Fit(eqx.Module):
     chi_squared: Float[Array, ""]
     degrees_of_freedom: int = eqx.field(static=True)
     sampling_error: Float[Array, " p"]
-    sampling_chi_squared: Float[Array, ""]
+    sampling_residual: tuple[Float[Array, "block row band"], ...]
     steps: int = eqx.field(static=True)
     starts: Float[Array, " start"]
     rounds: int = eqx.field(static=True)
+    samples: tuple[tuple[int, int], ...] = eqx.field(static=True)
     effective_share: Float[Array, ""]
     drifted: bool = eqx.field(static=True)
     solver_result: optx.RESULTS
@@ -164,6 +168,11 @@ class Fit(eqx.Module):
     def converged(self) -> bool:
         """Whether the solver says it converged."""
         return bool(self.solver_result == optx.RESULTS.successful)
+
+    @property
+    def sampling_chi_squared(self) -> float:
+        """By how much the sampling error of the prediction raises `chi_squared`."""
+        return float(sum(np.sum(np.asarray(e, np.float64) ** 2) for e in self.sampling_residual))
 
     @property
     def standard_deviation(self) -> np.ndarray:
@@ -179,13 +188,27 @@ class Fit(eqx.Module):
     def probability(self) -> float:
         """With which data of the stated noise would fit as badly or worse, if the model is right; nan without freedom.
 
-        Of a sum of squares of `degrees_of_freedom` normal residuals; the rays' own noise, which raises it, counts as
-        the model's.
+        Of chi-squared over its expectation n (1 + v), with n degrees of freedom and the mean v of the rays' own
+        variance, as a ratio of two variances (F): chi-squared has n degrees of freedom of the noise and m of the rays,
+        1 + v has k of the rays (Satterthwaite, Biometrics Bulletin 2, 1946). They are (sum v_i)^2 / sum v_i^2 over
+        rows and over rows and blocks, which share nothing; bands share rays.
         """
-        from scipy.special import gammaincc  # takes as long to import as all of jaxir
+        from scipy.special import chdtrc, fdtrc  # takes as long to import as all of jaxir
 
-        freedom = self.degrees_of_freedom
-        return float(gammaincc(freedom / 2, float(self.chi_squared) / 2)) if freedom > 0 else math.nan
+        n, found = self.degrees_of_freedom, float(self.chi_squared)
+        if n <= 0:
+            return math.nan
+        square = [np.sum(np.asarray(e, np.float64) ** 2, axis=2) for e in self.sampling_residual]
+        sums, rows = sum(float(np.sum(s)) for s in square), sum(s.shape[1] for s in square)
+        v = sums / sum(part.size for part in self.residual)
+        if not v > 0:
+            return float(chdtrc(n, found))
+        # each square has one degree of freedom, so that the mean of its square is 3 times the square of its mean
+        by_block = sum(float(np.sum(s**2)) for s in square) / 3
+        by_row = sum(float(np.sum(s.sum(axis=0) ** 2)) for s in square) - 2 * by_block
+        whole = sums**2 - 2 * by_block
+        m, k = min(whole / by_row, rows), min(whole / by_block, sum(s.size for s in square))
+        return float(fdtrc(n * (1 + v) ** 2 / (1 + n * v**2 / m), k * (1 + 1 / v) ** 2, found / (n * (1 + v))))
 
     def worst(self, count: int = 3) -> list[tuple[float, str]]:
         """The largest residuals in standard deviations, each with its place."""
@@ -236,7 +259,7 @@ class Fit(eqx.Module):
     def _goodness(self) -> list[str]:
         said = (
             f"chi-squared {float(self.chi_squared):.4g} for {self.degrees_of_freedom} degrees of freedom, "
-            f"of which {float(self.sampling_chi_squared):.2g} from the finite number of rays"
+            f"of which {self.sampling_chi_squared:.2g} from the finite number of rays"
         )
         p = self.probability
         if not p < UNLIKELY:
@@ -256,9 +279,11 @@ class Fit(eqx.Module):
         shift = np.asarray(self.sampling_error)
         ratio = float(np.max(np.where(np.isfinite(spread) & (spread > 0), shift / np.where(spread > 0, spread, 1), 0)))
         share = 100 * float(self.effective_share)
+        more = [f"measurement {k} {a} to {b}" for k, (a, b) in enumerate(self.samples) if b > a]
         return [
             f"rays put at most {ratio:.2g} standard deviations of the noise into a value"
-            + ("; give more samples or larger shapes" if ratio > 1 else ""),
+            + ("; give more samples, max_samples or larger shapes" if ratio > 1 else ""),
+            *([f"rays put in more than the noise, so more were traced, per pixel: {', '.join(more)}"] if more else []),
             f"rays traced {self.rounds} times, {share:.0f} % of sampled directions count"
             + ("; they suit the solution badly: allow more rounds" if self.drifted else ""),
         ]

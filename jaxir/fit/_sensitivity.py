@@ -51,7 +51,7 @@ def _slopes(observed: Observation, scene: Scene, band: int) -> tuple[Array, Arra
 
     def total(emissivity: Array, temperature: Array) -> Array:
         changed = eqx.tree_at(lambda s: (s.skin.brdf.emissivity, s.skin.temperature), scene, (emissivity, temperature))
-        return observed.predict_halves(changed).mean(axis=0)[:, band].sum()
+        return observed.predict_halves(changed).mean(axis=(0, 1))[:, band].sum()
 
     by_emissivity, by_temperature = jax.grad(total, argnums=(0, 1))(per_face, scene.skin.temperature)
     return by_emissivity.sum(axis=1), by_temperature

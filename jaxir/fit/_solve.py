@@ -1,11 +1,13 @@
 """Entry: `fit`, `solve` and `expected_uncertainty`.
 
 Rays are traced once, before the solver starts; every step only evaluates them. Where the solution has moved what the
-traced rays suit, they are traced again from there and the solver starts anew.
+traced rays suit, they are traced again from there and the solver starts anew; so they are, once and with more of them,
+where their noise exceeds that of the data.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -30,6 +32,8 @@ from jaxir.scene import Scene
 
 LEAP = 1.0  # natural steps from where rays were traced beyond which they are not asked where to trace next
 LEAST_SHARE = 0.5  # effective share of sampled directions below which they are drawn anew
+LOUD = 1.0  # standard deviations of the data's noise that rays may put into a value before more of them are traced
+QUIET = 0.5  # that they shall put in then: the total is 12 % above that of the data's noise
 
 
 def fit(
@@ -43,6 +47,7 @@ def fit(
     starts: Any = None,
     max_steps: int = 64,
     rounds: int = 4,
+    max_samples: int = 16,
     key: Key[Array, ""] | None = None,
 ) -> Fit:
     """Parameters of a scene from measurements.
@@ -57,7 +62,11 @@ def fit(
         starts: further starts, physical values [start, p]; all run under one vmap, the best result counts.
         max_steps: of the solver, for each of its walks.
         rounds: how often rays may be traced. They are traced again where the solution has outgrown the images, or
-            where sampled directions suit its brdf so badly that fewer than half of them count.
+            where sampled directions suit its brdf so badly that fewer than half of them count, or where they are too
+            few.
+        max_samples: rays per pixel at most. Where the rays put more into a value than the data's noise does, by the
+            halves of the rays at the solution, they are traced once more: as many as shall put in half of it. Memory
+            and time grow with them; a measurement that asks for as many itself gets no more.
         key: random key of the points in the pixels and of sampled light.
 
     Returns:
@@ -72,7 +81,7 @@ def fit(
             no measurement, by name.
     """
     problem = prepare(scene, parameters, measurements, priors=priors, robust=robust, key=key)
-    return solve(problem, solver=solver, starts=starts, max_steps=max_steps, rounds=rounds)
+    return solve(problem, solver=solver, starts=starts, max_steps=max_steps, rounds=rounds, max_samples=max_samples)
 
 
 def solve(
@@ -82,6 +91,7 @@ def solve(
     starts: Any = None,
     max_steps: int = 64,
     rounds: int = 4,
+    max_samples: int = 16,
 ) -> Fit:
     """Solve a prepared fit; `fit` is `prepare` then `solve`, with the same arguments, results and errors.
 
@@ -96,9 +106,12 @@ def solve(
         )
     if rounds < 1:
         raise ValueError(f"rounds: got {rounds}, expected an integer >= 1")
+    if max_samples < 2:
+        raise ValueError(f"max_samples: got {max_samples}, expected an integer >= 2")
     begin = _starts(coordinates, starts)
     size = None if solver is None else _effect(problem, begin[0])
     losses = np.zeros(0)
+    asked = given = _samples(problem)
     for traced in range(1, rounds + 1):
         if solver is None and applies(problem):
             near, finish = lead(problem, begin, max_steps)
@@ -110,16 +123,22 @@ def solve(
         scene = _placed(coordinates, near.z)[0]
         share = effective_share(problem, scene)
         drifted = bool(share < LEAST_SHARE) or not all(o.holds(scene) for o in problem.observations)
-        if not drifted or traced == rounds:
+        if drifted and traced < rounds:
+            move = near.z - near.begin
+            begin = (near.begin + move / jnp.maximum(1, jnp.max(jnp.abs(move)) / LEAP))[None]
+            problem = retraced(problem, _placed(coordinates, begin[0])[0], asked)
+            continue
+        end = finish(drifted)
+        scene, values, slope = _placed(coordinates, end.z)
+        known = uncertainty(coordinates.labels, coordinates.units, values, slope, end.jacobian)
+        error = tuple((half[:, 0] - half[:, 1]) / (2 * half.shape[0]) for half in end.seen.halves)
+        of_rays = np.abs(np.asarray(slope, np.float64)) * _propagated(end.jacobian, error)
+        if asked == given:  # more rays at most once
+            asked = _more(given, of_rays, known, max_samples)
+        if traced == rounds or asked == _samples(problem):
             break
-        move = near.z - near.begin
-        begin = (near.begin + move / jnp.maximum(1, jnp.max(jnp.abs(move)) / LEAP))[None]
-        problem = retraced(problem, _placed(coordinates, begin[0])[0])
-    end = finish(drifted)
-    scene, values, slope = _placed(coordinates, end.z)
+        begin, problem = end.z[None], retraced(problem, scene, asked)
     seen = end.seen
-    error = tuple((half[0] - half[1]) / 2 for half in seen.halves)
-    known = uncertainty(coordinates.labels, coordinates.units, values, slope, end.jacobian)
     loose = known.open_directions()
     reach_ = reach_of_open_directions(problem, end.z, loose) if len(loose) else np.stack([np.asarray(values)] * 2)
     return Fit(
@@ -129,14 +148,15 @@ def solve(
         at_bounds=at_bounds(coordinates, values),
         bands=tuple(o.measurement.nodes.names for o in problem.observations),
         robust=float(problem.robust),
-        residual=tuple(half.mean(axis=0) for half in seen.halves),
+        residual=tuple(half.mean(axis=(0, 1)) for half in seen.halves),
         chi_squared=jnp.sum(seen.residual * seen.residual),
         degrees_of_freedom=problem.data - coordinates.count,
-        sampling_error=jnp.abs(slope) * _propagated(end.jacobian, error),
-        sampling_chi_squared=sum((jnp.sum(e * e) for e in error), jnp.zeros((), end.z.dtype)),
+        sampling_error=as_float(np.sqrt(np.sum(of_rays**2, axis=0))),
+        sampling_residual=error,
         steps=end.steps,
         starts=as_float(losses),
         rounds=traced,
+        samples=tuple(zip(given, _samples(problem), strict=True)),
         effective_share=share,
         drifted=drifted,
         solver_result=end.result,
@@ -218,15 +238,39 @@ def _require_effect(coordinates: Coordinates, size: Array) -> None:
         )
 
 
-def _propagated(jacobian: Array, errors: tuple[Array, ...]) -> Float[Array, " p"]:
-    """Standard error of z from independent errors of each row [row, band]; in double precision on the host.
+def _samples(problem: Problem) -> tuple[int, ...]:
+    """Rays per pixel of each measurement."""
+    return tuple(o.measurement.samples for o in problem.observations)
 
-    A row's error moves the solution by J^+ e, its bands together because they share rays.
+
+def _more(given: tuple[int, ...], of_rays: np.ndarray, known: Uncertainty, most: int) -> tuple[int, ...]:
+    """Rays per pixel of each measurement that put `QUIET` deviations into a value where those given put `LOUD`.
+
+    Variances fall with the number of rays or faster. Measurements whose rays put in little stay as they are. Numbers
+    are powers of two times those given, so that fits of one kind share their programs.
+    """
+    spread = np.asarray(known.standard_deviation, np.float64)
+    some = np.isfinite(spread) & (spread > 0)
+    square = (of_rays[:, some] / spread[some]) ** 2
+    loudest = float(np.sum(square, axis=0).max(initial=0.0))
+    if not LOUD**2 < loudest < np.inf:
+        return given
+    factor = 2 ** math.ceil(math.log2(loudest / QUIET**2))
+    own = square.max(axis=1) * len(given)
+    most -= most % 2
+    return tuple(max(n, min(n * factor, most)) if part > QUIET**2 else n for n, part in zip(given, own, strict=True))
+
+
+def _propagated(jacobian: Array, errors: tuple[Array, ...]) -> np.ndarray:
+    """Standard error of z from independent errors of blocks and rows [block, row, band], [measurement, p].
+
+    An error moves the solution by J^+ e, its bands together because they share rays. In double precision on the host.
     """
     inverse = np.linalg.pinv(np.asarray(jacobian, np.float64), rcond=1e-6)
-    square, begin = np.zeros(inverse.shape[0]), 0
+    squares, begin = [], 0
     for error in errors:
-        part = inverse[:, begin : begin + error.size].reshape(-1, *error.shape)
-        square += ((part * np.asarray(error, np.float64)).sum(axis=2) ** 2).sum(axis=1)
-        begin += error.size
-    return as_float(np.sqrt(square))
+        rows, bands = error.shape[1:]
+        part = inverse[:, begin : begin + rows * bands].reshape(-1, rows, bands)
+        squares.append((np.einsum("prb,krb->pkr", part, np.asarray(error, np.float64)) ** 2).sum(axis=(1, 2)))
+        begin += rows * bands
+    return np.sqrt(squares)

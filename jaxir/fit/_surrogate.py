@@ -218,18 +218,18 @@ class _Raised(eqx.Module):
 
     Attributes:
         observation: with fewer rays in the place of all.
-        lacking: what is added to the predictions of both halves [2, row, band].
+        lacking: what is added to the predictions of both halves in each block [block, 2, row, band].
     """
 
     observation: Observation
-    lacking: Float[Array, "2 row band"]
+    lacking: Float[Array, "block 2 row band"]
 
     @property
     def measurement(self) -> Measurement:
         """What was measured."""
         return self.observation.measurement
 
-    def predict_halves(self, scene: Scene) -> Float[Array, "2 row band"]:
+    def predict_halves(self, scene: Scene) -> Float[Array, "block 2 row band"]:
         """As `Observation.predict_halves`, with what is lacking."""
         return self.observation.predict_halves(scene) + self.lacking
 
@@ -242,7 +242,7 @@ def predicted_by(problem: Problem, rays: tuple[RaySum | None, ...]) -> Problem:
             return observed
         value = observed.measurement.value
         some = eqx.tree_at(lambda o: o.through, observed, own)
-        return _Raised(some, jnp.zeros((2, *value.shape), value.dtype))
+        return _Raised(some, jnp.zeros((observed.blocks, 2, *value.shape), value.dtype))
 
     observations = tuple(fewer(*each) for each in zip(problem.observations, rays, strict=True))
     bare = eqx.tree_at(lambda p: p.surrogate, problem, None, is_leaf=lambda x: x is None)
@@ -255,7 +255,7 @@ def _completed(fewer: Problem, asked: _Asked) -> Problem:
     def raised(observed: Observation | _Raised, every: Array, own: Array) -> Observation | _Raised:
         if isinstance(observed, Observation):
             return observed
-        more = observed.lacking + (every - own) * observed.measurement.standard_deviation[None]
+        more = observed.lacking + (every - own) * observed.measurement.standard_deviation[None, None]
         return _Raised(observed.observation, more)
 
     each = zip(fewer.observations, asked.every.halves, asked.seen.halves, strict=True)
@@ -263,7 +263,7 @@ def _completed(fewer: Problem, asked: _Asked) -> Problem:
 
 
 def _chosen(observed: Observation) -> tuple[ViewRays | None, ViewRays | None]:
-    """About `LEADING` and `STEERING` rays in each group that stand for all rays that meet a jet and no skin.
+    """About `LEADING` and `STEERING` rays of each half of a row that stand for all rays that meet a jet and no skin.
 
     Systematic sampling with a probability proportional to what a ray contributes now, averaged over bands, so that
     each ray kept stands for the same part of its row, along a curve that fills the image, so that it stands for its
@@ -279,8 +279,15 @@ def _chosen(observed: Observation) -> tuple[ViewRays | None, ViewRays | None]:
     weight, part = weight.reshape(-1), part.reshape(-1, part.shape[-1])
     face = np.asarray(jax.vmap(lambda paths: paths.face)(through.paths)).reshape(-1)
     free, on_skin = np.flatnonzero((face < 0) & (weight > 0)), np.flatnonzero((face >= 0) & (weight > 0))
-    free = free[np.argsort(group[free], kind="stable")]
-    _, of = np.unique(group[free], return_inverse=True)
+    blocks, of_block, count = np.unique(group[free], return_inverse=True, return_counts=True)
+    free = free[np.argsort(of_block, kind="stable")]
+    # blocks are alike and each lies along the curve, so they are threaded by the share of a block that lies before
+    of_block = np.sort(of_block)
+    along = (np.arange(free.size) - (np.cumsum(count) - count)[of_block]) / count[of_block]
+    halves = 2 * observed.measurement.value.shape[0]
+    of = blocks[of_block] % halves
+    thread = np.lexsort((along, of))
+    free, (_, of) = free[thread], np.unique(of[thread], return_inverse=True)
     by_light, by_area = _share(part[free], of).mean(axis=1), _share(weight[free, None], of)[:, 0]
 
     def about(count: int, even: float) -> ViewRays | None:
@@ -295,7 +302,8 @@ def _chosen(observed: Observation) -> tuple[ViewRays | None, ViewRays | None]:
         scaled[free[kept]] *= picks[kept] / (count * share[kept])
         index = np.concatenate([on_skin, free[kept]])
         rays = jax.tree.map(lambda leaf: leaf.reshape(-1, 3)[index], jax.vmap(lambda paths: paths.rays)(through.paths))
-        group_of, face_of = (jnp.asarray(x[index], jnp.int32) for x in (group, face))
+        # all in the first block: only their sums count, and few blocks of few rays would be of another shape every time
+        group_of, face_of = jnp.asarray(group[index] % halves, jnp.int32), jnp.asarray(face[index], jnp.int32)
         scaled_weight = jnp.asarray(scaled[index], through.weight.dtype)
         return ViewRays(rays, scaled_weight, group_of, face_of, jnp.ones(index.size, bool))
 

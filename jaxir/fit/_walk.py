@@ -46,7 +46,7 @@ class Seen(NamedTuple):
     """Residuals at a point.
 
     Attributes:
-        halves: of both halves of the rays, per measurement.
+        halves: of both halves of the rays in each block, per measurement.
         residual: all of them, priors last.
         robust: those whose squares are the loss.
         bend: their derivatives by `residual`.

@@ -16,5 +16,6 @@ def slab(temperature, depth):
 
 
 def looked_at(scene, bands, relative=0.01):
-    radiance = np.asarray(jaxir.render(scene, PIXEL, bands, samples=2).radiance)
-    return measured_image(PIXEL, bands, radiance, relative * radiance)
+    camera = jaxir.orthographic_camera(0.0, 0.0, 0.1, (1, 1))  # in the precision of the test
+    radiance = np.asarray(jaxir.render(scene, camera, bands, samples=2).radiance)
+    return measured_image(camera, bands, radiance, relative * radiance)

@@ -50,14 +50,38 @@ def test_ten_keys_end_as_far_apart_as_the_fit_says():
     value = np.asarray(exact.intensity)
     start = lit_plate(jaxir.Lambert(0.7))
     measured = measured_intensity(start, FRONT, jaxir.MWIR, value, 0.01 * value, shape=(16, 16), method=method)
-    found = [fit(start, [part_emissivity("skin")], [measured], key=jax.random.key(k)) for k in range(10)]
+    skin = [part_emissivity("skin")]
+    found = [fit(start, skin, [measured], key=jax.random.key(k), max_samples=2) for k in range(10)]
     got = np.array([float(f.uncertainty.value[0]) for f in found])
     said = np.array([float(f.sampling_error[0]) for f in found])
     assert 0 < said.max() < 0.02  # power: the ten would notice an error of a few per cent
-    # variances of ten values and of ten times six rows: 9 and about 60 degrees of freedom
-    low, high = scipy.stats.f(9, 60).ppf([5e-4, 1 - 5e-4])
+    # variances of ten values and of ten times six rows of eight blocks: 9 and up to 480 degrees of freedom
+    low, high = scipy.stats.f(9, 300).ppf([5e-4, 1 - 5e-4])
+    assert said.std() < 0.2 * said.mean()  # of one difference in each row it would be about .3
     assert low < np.var(got, ddof=1) / np.mean(said**2) < high
     assert abs(got.mean() - 0.4) < 4 * np.sqrt(np.mean(said**2) / 10)
+
+
+def test_rays_louder_than_the_data_are_traced_once_more_up_to_a_bound():
+    truth = lit_plate(jaxir.Lambert(0.4))
+    exact = jaxir.signature(truth, FRONT, jaxir.MWIR, shape=(16, 16), method=jaxir.Method(jaxir.ClosedForm()))
+    value, skin, start = np.asarray(exact.intensity), [part_emissivity("skin")], lit_plate(jaxir.Lambert(0.7))
+
+    def found(relative, **more):
+        measured = measured_intensity(start, FRONT, jaxir.MWIR, value, relative * value, shape=(16, 16))
+        return fit(start, skin, [measured], **more)
+
+    loud, bounded, quiet = found(0.002), found(0.002, max_samples=2), found(0.1)
+    ratio = float(bounded.sampling_error[0] / bounded.uncertainty.standard_deviation[0])
+    assert ratio > 1 and "; give more samples, max_samples or larger shapes" in str(bounded)
+    assert (bounded.rounds, bounded.samples, quiet.rounds, quiet.samples) == (1, ((2, 2),), 1, ((2, 2),))
+    assert "more were traced" not in str(bounded) + str(quiet)
+    taken = loud.samples[0][1]
+    assert loud.rounds == 2 and taken == min(16, 2 * 2 ** np.ceil(np.log2(4 * ratio**2)))
+    assert f"more were traced, per pixel: measurement 0 2 to {taken}" in str(loud)
+    assert float(loud.sampling_error[0]) < 0.7 * float(bounded.sampling_error[0])
+    assert abs(float(loud.uncertainty.value[0]) - 0.4) < 4 * loud.standard_deviation[0]
+    assert found(0.002, rounds=1).rounds == 1
 
 
 def test_the_effective_share_of_directions_is_kish_s():
@@ -107,7 +131,7 @@ def test_a_jet_that_outgrows_its_images_is_traced_again():
     assert often.rounds > 1 and not often.drifted
     np.testing.assert_allclose(often.uncertainty.value, [1200.0, 16.0], rtol=0.02)
     # rays of their own made the measured values, so what rays put in comes twice
-    assert float(often.chi_squared) < often.degrees_of_freedom + 3 * float(often.sampling_chi_squared)
+    assert float(often.chi_squared) < often.degrees_of_freedom + 3 * often.sampling_chi_squared
     assert float(often.chi_squared) < float(once.chi_squared)
 
 
@@ -138,6 +162,7 @@ def test_fewer_rays_stand_for_all_that_meet_a_jet():
     ("build", "message"),
     [
         (lambda m: fit(slab(900, 1), [DEPTH], [m], rounds=0), "rounds: got 0, expected an integer >= 1"),
+        (lambda m: fit(slab(900, 1), [DEPTH], [m], max_samples=1), "max_samples: got 1, expected an integer >= 2"),
         (lambda m: measured_image(PIXEL, THREE, np.ones((1, 1, 3)), -1.0), "standard_deviation: got -1.0"),
         (lambda m: NormalPrior([1.0], 1.0), r"NormalPrior.mean: got shape \(1,\)"),
         (lambda m: SmoothPrior((2, 2), np.nan), "SmoothPrior.standard_deviation: got nan"),

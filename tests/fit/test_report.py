@@ -1,9 +1,12 @@
 """A fit's report: whether the model explains the data, what stands out, what is at a bound, what is open."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 
 import jaxir
 from jaxir.fit import Bounds, Factor, fit
@@ -17,7 +20,7 @@ def with_value(measurement, change):
     return eqx.tree_at(lambda m: m.value, measurement, jnp.asarray(change(value)))
 
 
-def test_two_equal_numbers_leave_both_unknowns_open():
+def test_two_equal_numbers_leave_both_unknowns_open(precision):
     # the solver runs to great depth, where nothing depends on it and the temperature looks determined
     one = looked_at(slab(1000.0, 1.0), (jaxir.MWIR,))
     found = fit(slab(600.0, 3.0), [TEMPERATURE, DEPTH], [one, one])
@@ -65,3 +68,25 @@ def test_the_total_standard_deviation_counts_the_rays():
     noisy = eqx.tree_at(lambda f: f.sampling_error, found, jnp.asarray([0.3, 0.4]))
     expected = np.hypot(np.asarray(found.uncertainty.standard_deviation), [0.3, 0.4])
     np.testing.assert_allclose(noisy.standard_deviation, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("rays", [0.0, 0.3, 3.0])
+def test_the_noise_of_rays_is_not_taken_for_a_wrong_model(rays):
+    # twelve rows of two bands that share their rays, whose noise has eight blocks; ray variances differ between rows
+    shape, rng = (8, 12, 2), np.random.default_rng(1)
+    spread = np.sqrt(rays / 8 * np.linspace(0.5, 1.5, 12))[None, :, None]
+    any_fit = fit(slab(800.0, 0.5), [TEMPERATURE], [looked_at(slab(1000.0, 1.0), THREE)])
+    found = []
+    for _ in range(1000):
+        noise = rng.normal(size=shape[1:])
+        moved, told = (spread * rng.normal(size=(*shape[:2], 1)) * np.ones(2) for _ in range(2))
+        residual = noise + moved.sum(axis=0)
+        held = {"sampling_residual": told, "residual": residual, "chi_squared": np.sum(residual**2)}
+        one = {name: jnp.asarray(value, jnp.float32) for name, value in held.items()}
+        one |= {name: (one[name],) for name in ("sampling_residual", "residual")}
+        found.append(dataclasses.replace(any_fit, degrees_of_freedom=24, **one).probability)
+    for level in (0.01, 0.1, 0.5):
+        share = np.mean(np.array(found) < level)
+        assert abs(share - level) < 0.01 + 4 * np.sqrt(level * (1 - level) / 1000)
+    if rays == 0:
+        assert found[-1] == pytest.approx(scipy.stats.chi2(24).sf(np.sum(residual**2)), rel=1e-4)
