@@ -62,6 +62,24 @@ def test_ten_keys_end_as_far_apart_as_the_fit_says():
     assert abs(got.mean() - 0.4) < 4 * np.sqrt(np.mean(said**2) / 10)
 
 
+def test_forty_fits_with_noise_and_rays_of_their_own_miss_the_truth_as_far_as_they_say():
+    start, skin = lit_plate(jaxir.Lambert(0.7)), [part_emissivity("skin")]
+    exact = jaxir.signature(
+        lit_plate(jaxir.Lambert(0.4)), FRONT, jaxir.MWIR, shape=(16, 16), method=jaxir.Method(jaxir.ClosedForm())
+    )
+    value, rng, found = np.asarray(exact.intensity), np.random.default_rng(2), []
+    for draw in range(40):
+        noisy = value * (1 + 0.01 * rng.normal(size=value.shape))
+        measured = measured_intensity(start, FRONT, jaxir.MWIR, noisy, 0.01 * value, shape=(16, 16))
+        found.append(fit(start, skin, [measured], key=jax.random.key(draw), max_samples=2))
+    off = np.array([float(f.uncertainty.value[0]) - 0.4 for f in found])
+    noise = np.array([float(f.uncertainty.standard_deviation[0]) for f in found])
+    total = np.array([f.standard_deviation[0] for f in found])
+    low, high = scipy.stats.chi2(40).ppf([5e-4, 1 - 5e-4])
+    assert low < np.sum((off / total) ** 2) < high < np.sum((off / noise) ** 2)  # the noise alone is too little
+    assert scipy.stats.binom(40, 0.683).cdf(np.sum(np.abs(off) < total)) > 1e-3
+
+
 def test_rays_louder_than_the_data_are_traced_once_more_up_to_a_bound():
     truth = lit_plate(jaxir.Lambert(0.4))
     exact = jaxir.signature(truth, FRONT, jaxir.MWIR, shape=(16, 16), method=jaxir.Method(jaxir.ClosedForm()))

@@ -5,6 +5,7 @@ import pytest
 import pyvista
 
 from jaxir.io.field import Axes, load_flow
+from jaxir.io.scene_file import load_scene
 
 SHAPE = (6, 24, 24)
 
@@ -138,3 +139,33 @@ def test_species_of_points_and_of_cells_are_refused(tmp_path):
     data.save(tmp_path / "flow.vti")
     with pytest.raises(ValueError, match="flow.vti: H2O, CO2, N2 are point and cell data, expected one kind"):
         load_flow(tmp_path / "flow.vti", {"H2O": 0.0}, unit="m", shape=(2, 2, 2), molar_masses=MASSES)
+
+
+def test_a_scene_file_takes_all_of_it(tmp_path):
+    data = plane()
+    for name, share in (("H2O", 0.08), ("CO2", 0.12)):
+        data.point_data[name] = np.full(data.n_points, share)
+    data.save(tmp_path / "flow.vts")
+    (tmp_path / "scene.toml").write_text(
+        """
+bands = ["MWIR"]
+[plumes]
+type = "GridPlume"
+temperature = { field = "T" }
+gas = { type = "NarrowBandGas", pressure = 26500.0, h2o = { field = "H2O" }, co2 = { field = "CO2" } }
+[plumes.flow]
+path = "flow.vts"
+unit = 2.0
+shape = [6, 8, 8]
+fields = { T = 280.0, H2O = 0.0, CO2 = 0.0 }
+axes = { nose = "-x", offset = [-8, 0, 0] }
+axisymmetric = "x"
+molar_masses = { H2O = 18.015, CO2 = 44.01, N2 = 28.013 }
+"""
+    )
+    read = load_scene(tmp_path / "scene.toml")
+    plume = read.scene.plumes[0]
+    np.testing.assert_allclose(plume.grid.origin, [-14.0, -2.0, -2.0], atol=1e-5)
+    moles = np.array([0.08 / 18.015, 0.12 / 44.01, 0.8 / 28.013])
+    assert float(plume.gas.h2o[3, 4, 4]) == pytest.approx(moles[0] / moles.sum(), rel=1e-5)
+    assert "x -14 to -8, y -2 to 2, z -2 to 2 m" in read.describe()
