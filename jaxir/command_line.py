@@ -55,6 +55,12 @@ QUANTITIES = {
     "source": "of skin and plume alone, at the target, without air and background",
 }
 
+LEFT_OUT = {
+    "truncation": "method.orders leaves out",
+    "bounces": "method.bounces leaves out",
+    "outside": "the frame leaves out",
+}
+
 
 def main(argv: list[str]) -> int:
     """Run a command.
@@ -155,12 +161,16 @@ def _save_figure(path: Path, figure: Any) -> None:
 
 RENDER_FORMATS = {
     ".npz": Format("every number, for numpy", None, save_image),
-    ".tif": Format("float32 TIFF, a page per band (extra image)", ("tifffile", "image"), save_tiff),
+    ".tif": Format(
+        "float32 TIFF, a page per band (extra image)",
+        ("tifffile", "image"),
+        lambda path, image, conditions, errors: save_tiff(path, image, conditions),
+    ),
     ".nc": Format("NetCDF with units and conditions (extra netcdf)", ("xarray", "netcdf"), save_netcdf),
     ".png": Format(
         "picture with colour bar (extra plot)",
         ("matplotlib", "plot"),
-        lambda path, image, conditions: _save_figure(path, plot.radiance_image(image)),
+        lambda path, image, *about: _save_figure(path, plot.radiance_image(image)),
     ),
 }
 SIGNATURE_FORMATS = {
@@ -168,13 +178,13 @@ SIGNATURE_FORMATS = {
     ".txt": Format(
         "AFSIM infrared_signature; wants --quantity source",
         None,
-        lambda path, table, conditions: save_afsim(path, table, path.stem, conditions),
+        lambda path, table, conditions, errors: save_afsim(path, table, path.stem, conditions),
     ),
     ".nc": Format("NetCDF with units and conditions (extra netcdf)", ("xarray", "netcdf"), save_netcdf),
     ".png": Format(
         "polar plot (extra plot)",
         ("matplotlib", "plot"),
-        lambda path, table, conditions: _save_figure(path, plot.polar_signature(table)),
+        lambda path, table, *about: _save_figure(path, plot.polar_signature(table)),
     ),
 }
 SHOW_FORMATS = {
@@ -242,7 +252,7 @@ def _render(arguments: argparse.Namespace) -> None:
             )
             print(f"{name or 'image'}, {quantity}\n{errors}")
             for path in outputs:
-                _write(RENDER_FORMATS, _named(path, f"_{name}" if name else "", label), image, conditions)
+                _write(RENDER_FORMATS, _named(path, f"_{name}" if name else "", label), image, conditions, errors)
 
 
 def _camera_conditions(name: str, camera: Camera, image: Image) -> dict[str, str | int | float]:
@@ -252,8 +262,9 @@ def _camera_conditions(name: str, camera: Camera, image: Image) -> dict[str, str
 def _warn_of_errors(read: SceneFile, errors: ErrorBudget) -> None:
     """Say what is left out beyond sampling, where it is more than 1 %."""
     scale = np.abs(np.asarray(errors.intensity))
-    for part, what in (("truncation", "method.orders leaves out"), ("outside", "the frame leaves out")):
-        share = float(np.max(np.asarray(getattr(errors, part)) / np.where(scale > 0, scale, np.inf)))
+    for part, what in LEFT_OUT.items():
+        values = errors.parts[part]
+        share = 0.0 if values is None else float(np.max(np.asarray(values) / np.where(scale > 0, scale, np.inf)))
         if share > 0.01:
             warnings.warn(f"{read.file}: {what} about {share:.0%} of the intensity", stacklevel=2)
 
@@ -276,7 +287,7 @@ def _signature(arguments: argparse.Namespace) -> None:
         print(f"{quantity}\n{errors}")
         conditions = _conditions(read, quantity, began, errors=errors.described(), unit="W sr-1")
         for path in outputs:
-            _write(SIGNATURE_FORMATS, _named(path, label), table, conditions)
+            _write(SIGNATURE_FORMATS, _named(path, label), table, conditions, errors)
 
 
 def _read(path: Path) -> SceneFile:
@@ -294,8 +305,10 @@ def _of(read: SceneFile, compute: Callable[[], Any]) -> Any:
         raise ValueError(f"{read.file}: {error}") from error
 
 
-def _write(formats: dict[str, Format], path: Path, result: Image | Signature, conditions: Conditions) -> None:
-    formats[path.suffix].save(path, result, conditions)
+def _write(
+    formats: dict[str, Format], path: Path, result: Image | Signature, conditions: Conditions, errors: ErrorBudget
+) -> None:
+    formats[path.suffix].save(path, result, conditions, errors)
     print(f"wrote {path}")
 
 

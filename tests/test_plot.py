@@ -59,6 +59,25 @@ def test_a_spectrum_integrates_to_the_band():
         plot.spectrum(nodes, {"x": value[:-1]})
 
 
+def test_error_bars_are_as_high_as_the_total():
+    one, zero = jnp.asarray([[1.0, 2.0]]), jnp.zeros((1, 2))
+    intensity = jnp.asarray([[100.0, 50.0]])
+    known = jaxir.ErrorBudget(intensity, one, 3 * one, zero, one, zero, ("MWIR", "LWIR"))
+    open_ = jaxir.ErrorBudget(intensity, one, None, jnp.asarray([[jnp.inf, 0.0]]), None, zero, ("MWIR", "LWIR"))
+    axis = plot.error_bars({"a": known, "b": open_}).axes[0]
+    assert [text.get_text() for text in axis.get_xticklabels()] == ["a, MWIR", "a, LWIR", "b, MWIR", "b, LWIR"]
+    height = np.sum([[bar.get_height() for bar in part] for part in axis.containers], axis=0)
+    np.testing.assert_allclose(height[:2], 100 * known.total[0] / intensity[0], rtol=1e-6)
+    np.testing.assert_allclose(height[2:], [2.0, 8.0], rtol=1e-6)  # what is left of them
+    said = [text.get_text() for text in axis.texts]
+    assert said == [
+        "",
+        "",
+        "spectral: not known, truncation: inf, bounces: not known",
+        "spectral: not known, bounces: not known",
+    ]
+
+
 def test_a_fit_s_report_names_its_parameters():
     jacobian = jnp.asarray([[3.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 1.0, 0.0]])  # the third is not determined
     found = uncertainty(("T", "e", "x"), ("K", "", ""), jnp.asarray([600.0, 0.5, 1.0]), jnp.ones(3), jacobian)

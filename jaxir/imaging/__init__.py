@@ -27,6 +27,7 @@ from jaxir.imaging._views import Signature as Signature
 from jaxir.imaging._views import Views as Views
 from jaxir.imaging._views import check_views as check_views
 from jaxir.imaging._views import prepare_views as prepare_views
+from jaxir.imaging._views import remembering as remembering
 from jaxir.imaging._views import signature as signature
 from jaxir.imaging._views import view_intensity as view_intensity
 from jaxir.imaging._views import whole_table as whole_table

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxir._math import safe_sqrt
 from jaxir.geometry import Camera
 from jaxir.imaging._budget import ErrorBudget, budget
+from jaxir.imaging._left_out import Asked
 
 
 class Outcome(eqx.Enumeration):
@@ -39,6 +40,7 @@ class Image(eqx.Module):
         unresolved: estimated share of what particles scatter that `DiscreteOrdinates` lacks [band]; None without.
         spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
         outside: share of the scene's intensity beyond the frame, roughly [band], see `share_outside`; None unknown.
+        asked: what it is an image of, for `error_budget`; None where values were known only inside jit.
     """
 
     radiance: Float[Array, "row column band"]
@@ -52,34 +54,33 @@ class Image(eqx.Module):
     unresolved: Float[Array, " band"] | None = None
     spectral: Float[Array, " band"] | None = None
     outside: Float[Array, " band"] | None = None
+    asked: Asked | None = None
 
-    @eqx.filter_jit
     def radiant_intensity(self) -> Float[Array, " band"]:
         """Radiant intensity in contrast to what the empty image would show [band] [W sr-1].
 
         I = sum over pixels of (L - L_empty) * area, with `Camera.pixel_area`. Without background and air this is the
         intensity of the source itself; with air it is the apparent one.
         """
-        area = self.camera.pixel_area()
-        return jnp.sum((self.radiance - self.empty) * area[:, :, None], axis=(0, 1))
+        return _intensity(self.camera, self.radiance, self.empty)
 
-    @eqx.filter_jit
     def intensity_error(self) -> Float[Array, " band"]:
         """Standard error of `radiant_intensity` [band] [W sr-1]; pixels are sampled independently.
 
         Where the background is not uniform this counts its variation within pixels too, which the contrast does not.
         """
-        area = self.camera.pixel_area()
-        variance = jnp.sum((self.standard_error * area[:, :, None]) ** 2, axis=(0, 1))
-        return safe_sqrt(variance)
+        return _intensity_error(self.camera, self.standard_error)
 
     def error_budget(self) -> ErrorBudget:
-        """The radiant intensity with all that is known of its error."""
-        intensity = self.radiant_intensity()
-        return budget(intensity, self.intensity_error(), self.spectral, self.truncation, self.outside, self.bands)
+        """The radiant intensity with all that is known of its error.
+
+        What nodes that were given err and what bounces left out would add is looked for now, by a few rays; a program
+        for it is compiled at the first call for scenes of one structure.
+        """
+        intensity, error = self.radiant_intensity(), self.intensity_error()
+        return budget(intensity, error, self.spectral, self.truncation, self.outside, self.bands, self.asked)
 
     @property
-    @eqx.filter_jit
     def truncation(self) -> Float[Array, " band"]:
         """Share of the radiant intensity that is left out of what particles scatter, estimated [band].
 
@@ -91,6 +92,17 @@ class Image(eqx.Module):
         return jnp.zeros_like(intensity) if self.orders is None else truncated_share(self.orders, intensity)
 
 
+@jax.jit
+def _intensity(camera: Camera, radiance: Array, empty: Array) -> Float[Array, " band"]:
+    return jnp.sum((radiance - empty) * camera.pixel_area()[:, :, None], axis=(0, 1))
+
+
+@jax.jit
+def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, " band"]:
+    return safe_sqrt(jnp.sum((standard_error * camera.pixel_area()[:, :, None]) ** 2, axis=(0, 1)))
+
+
+@jax.jit
 def truncated_share(orders: Float[Array, "*view 2 band"], intensity: Float[Array, "*view band"]) -> Array:
     """What is left out beyond the last order of scattering, as a share of the intensity [*view, band].
 
@@ -140,5 +152,5 @@ def joined(image: Image, more: Image) -> Image:
         (image.radiance, image.empty, image.orders),
         (more.radiance, more.empty, more.orders),
     )
-    about = image.unresolved, image.spectral, image.outside
+    about = image.unresolved, image.spectral, image.outside, image.asked
     return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders, *about)

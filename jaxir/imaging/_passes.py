@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -14,6 +15,7 @@ from jaxir.geometry import Camera, pixel_strata
 from jaxir.imaging._chunks import PARTS, Pass, as_number, estimate_chunk, first_pass, whole_image
 from jaxir.imaging._devices import is_traced, over_items, shared_by
 from jaxir.imaging._image import Image, Outcome, joined, meets
+from jaxir.imaging._left_out import Asked
 from jaxir.imaging._pilot import well_shaped
 from jaxir.imaging._planning import FEW, plan_pass, require_rtol
 from jaxir.optics.spectrum import Band, Nodes
@@ -82,7 +84,9 @@ def render(
 
     def take(number: int, samples: int) -> Image:
         taken = first._replace(number=as_number(number), strata=pixel_strata(samples))
-        return over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh)
+        image = over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh)
+        asked = Asked(scene, taken.lit.nodes, camera, taken.method)
+        return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
     image = take(0, samples)
     if rtol is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -17,7 +18,8 @@ from jaxir._arrays import as_float, enforce, key_or_default
 from jaxir.geometry import Camera, fitted_camera, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_eye, whole_image
-from jaxir.imaging._devices import over_items, shared_by
+from jaxir.imaging._devices import is_traced, over_items, shared_by
+from jaxir.imaging._left_out import Asked
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
 from jaxir.transport import Method, graded_cameras, with_scattered
@@ -35,6 +37,7 @@ class Signature(eqx.Module):
         truncation: estimated share of `intensity` that orders of scattering beyond the last would add, see
             `Image.truncation` [view, band].
         spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
+        asked: what it is the signature of, for `error_budget`; None where values were known only inside jit.
     """
 
     azimuth: Float[Array, " view"]
@@ -44,10 +47,15 @@ class Signature(eqx.Module):
     bands: tuple[str, ...] = eqx.field(static=True)
     truncation: Float[Array, "view band"]
     spectral: Float[Array, " band"] | None = None
+    asked: Asked | None = None
 
     def error_budget(self) -> ErrorBudget:
-        """The intensities with all that is known of their errors; every view holds the whole scene."""
-        return budget(self.intensity, self.standard_error, self.spectral, self.truncation, None, self.bands)
+        """The intensities with all that is known of their errors, see `Image.error_budget`.
+
+        Every view holds the whole scene.
+        """
+        own = self.intensity, self.standard_error, self.spectral, self.truncation
+        return budget(*own, None, self.bands, self.asked)
 
 
 class Views(NamedTuple):
@@ -119,7 +127,13 @@ def signature(
     )
     index = np.arange(asked.aspect.shape[0], dtype=np.int32)
     mesh = shared_by(devices, index.size, "views")
-    return over_items(view_intensity, whole_table, asked, index, "signature", mesh)
+    return remembering(over_items(view_intensity, whole_table, asked, index, "signature", mesh), scene, asked)
+
+
+def remembering(table: Signature, scene: Scene, views: Views) -> Signature:
+    """The table with what it was asked of, where all of it is known."""
+    asked = Asked(scene, views.lit.nodes, views.cameras, views.method)
+    return table if is_traced((table, asked)) else dataclasses.replace(table, asked=asked)
 
 
 def whole_table(views: Views, found: tuple[Array, Array, Array]) -> Signature:

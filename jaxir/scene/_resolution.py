@@ -19,6 +19,7 @@ from jaxir.optics.spectrum import (
     Nodes,
     as_nodes,
     band_radiance,
+    finer_nodes,
     gray_nodes,
     padded_nodes,
     resolved_nodes,
@@ -37,10 +38,11 @@ _DIRECTIONS = np.array([[0.0, 1.0, 0.0], [0.8, 0.6, 0.0], [0.96, 0.0, 0.28]])
 def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
     """The spectral nodes on which a scene is computed.
 
-    Nodes are taken as they are. Bands become one gray node each where nothing in the scene depends on the wavenumber
-    inside a band (`Physical.has_spectrum`). Else they become the fewest of `RESOLUTIONS` with which 36 rays in each of
-    three directions through the plumes, before darkness and before the skin's mean and highest temperature, through
-    the air, give every band's mean radiance within `RTOL` of that on the finest; `Nodes.error` keeps what they err.
+    Nodes are taken as they are. Bands become one gray node each where neither their response nor anything in the scene
+    depends on the wavenumber inside them (`Physical.has_spectrum`). Else they become the fewest of `RESOLUTIONS` with
+    which 36 rays in each of three directions through the plumes, before darkness and before the skin's mean and highest
+    temperature, through the air, give every band's mean radiance within `RTOL` of that on the finest; `Nodes.error`
+    keeps what they err.
     All candidates are tried by one program: coarser ones are padded with nodes of weight 0. A grid of more than some
     thousand cells is probed on every few of them.
 
@@ -56,7 +58,10 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
     Raises:
         ValueError: as `resolved_nodes` and `Scene.checks`.
     """
-    if isinstance(bands, Nodes) or not scene.has_spectrum:
+    if isinstance(bands, Nodes):
+        return bands
+    several = (bands,) if isinstance(bands, Band) else tuple(bands)
+    if not scene.has_spectrum and all(band.response is None for band in several):
         return as_nodes(bands)
     scene = jax.tree.map(_value, scene)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
@@ -74,19 +79,48 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
 _chosen: dict[tuple, Nodes] = {}
 
 
+def nodes_error(scene: Scene, nodes: Nodes) -> Float[Array, " band"] | None:
+    """What nodes err in the bands of a scene, as a share [band]: `Nodes.error`, or as `scene_nodes` finds it.
+
+    Nodes that were given are compared with finer ones, `finer_nodes`. 0 where nothing in the scene depends on the
+    wavenumber inside a band. None where the scene holds values for just these nodes, or a response acts by its mean
+    over a whole band.
+    """
+    if nodes.error is not None:
+        return nodes.error
+    response = np.asarray(nodes.response)
+    if nodes.count == len(response) and ((response != 0) & (response != 1)).any():
+        return None
+    if not scene.has_spectrum:
+        return jnp.zeros(len(response), nodes.weight.dtype)
+    fine, coarse = finer_nodes(nodes), _coarse(scene)
+    try:
+        finest, own = (_results(coarse, axis, max(fine.count, nodes.count)) for axis in (fine, nodes))
+    except ValueError:  # light or air given for each of the nodes
+        return None
+    return jnp.asarray(_apart(own, finest), nodes.weight.dtype)
+
+
+def _coarse(scene: Scene) -> Scene:
+    return eqx.tree_at(lambda s: s.plumes, scene, tuple(plume.thinned() for plume in scene.plumes))
+
+
+def _results(scene: Scene, nodes: Nodes, count: int) -> np.ndarray:
+    return np.asarray(_probed(scene, padded_nodes(nodes, count)), np.float64)
+
+
+def _apart(own: np.ndarray, finest: np.ndarray) -> np.ndarray:
+    """Largest relative difference of all results [band]."""
+    return np.max(np.abs(own - finest) / np.where(np.abs(finest) > 0, np.abs(finest), 1), axis=0)
+
+
 def _fewest(scene: Scene, bands: Band | Sequence[Band]) -> Nodes:
     """`scene_nodes` of known values."""
-    reference = resolved_nodes(bands, *REFERENCE)
-    coarse = eqx.tree_at(lambda s: s.plumes, scene, tuple(plume.thinned() for plume in scene.plumes))
-
-    def results(nodes: Nodes) -> np.ndarray:
-        return np.asarray(_probed(coarse, padded_nodes(nodes, reference.count)), np.float64)
-
-    finest = results(reference)
-    scale = np.where(np.abs(finest) > 0, np.abs(finest), 1)
+    reference, coarse = resolved_nodes(bands, *REFERENCE), _coarse(scene)
+    finest = _results(coarse, reference, reference.count)
     tries = [resolved_nodes(bands, *resolution) for resolution in RESOLUTIONS[: RESOLUTIONS.index(REFERENCE)]]
     for nodes in (gray_nodes((bands,) if isinstance(bands, Band) else bands), *sorted(tries, key=lambda n: n.count)):
-        error = np.max(np.abs(results(nodes) - finest) / scale, axis=0)
+        error = _apart(_results(coarse, nodes, reference.count), finest)
         if np.all(error <= RTOL):
             return with_error(nodes, error)
     return with_error(reference, error)  # that of the finest but one, which is larger than its own

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -31,6 +31,8 @@ from jaxir.transport._method import ClosedForm, Method
 from jaxir.transport._paths import LightSamples, Paths, Scattering, Segment, Vertex
 from jaxir.transport._trace import trace
 from jaxir.transport.ordinates import scattered
+
+T = TypeVar("T")
 
 
 class Orders(NamedTuple):
@@ -91,37 +93,53 @@ def _solved(lit: Lit, method: Method) -> Lit:
     return eqx.tree_at(lambda lit: lit.medium, lit, scattered(lit, method.scattering, arriving))
 
 
+def bounced(lit: Lit, paths: Paths, least: int) -> Float[Array, "bounce ray node"]:
+    """What paths bring after `least`, least + 1, ... `Method.bounces` reflections each [bounce, ray, node]."""
+    dark = jnp.zeros((paths.method.bounces + 1 - least, paths.length.shape[0], lit.nodes.count), paths.length.dtype)
+    asked = jnp.arange(least, paths.method.bounces + 1, dtype=jnp.int32)
+
+    def added(sums: Array, part: Array, segment: Segment, index: Array) -> Array:
+        before = (
+            index if segment.scattering is None else index - segment.scattering.before
+        )  # they go on from one of both
+        return sums + jnp.where((asked[:, None] == before)[..., None], part, 0)
+
+    return lit.dimmed_by_air(_summed(lit, paths, dark, added))
+
+
 def _along_paths(lit: Lit, paths: Paths) -> Orders:
     """Radiance along paths, before the air."""
-    method, count = paths.method, paths.method.segments()
+    method = paths.method
     dark = jnp.zeros((paths.length.shape[0], lit.nodes.count), paths.length.dtype)
-    if count == 1:
+    if method.segments() == 1:
         radiance = _brings(lit, paths, paths.first, True, True)
         return Orders(radiance, radiance if method.samples_particles(lit.scene) else dark, dark)
 
-    def step(state: tuple[Orders, Array], own: tuple[Segment, Array, Array]) -> tuple[tuple[Orders, Array], None]:
-        (sums, throughput), (segment, first, last) = state, own
-        brought = _brings(lit, paths, segment, first, last)
+    def added(sums: Orders, part: Array, segment: Segment, index: Array) -> Orders:
+        if segment.scattering is None:
+            return sums._replace(radiance=sums.radiance + part)
+        before = segment.scattering.before
+        last, one_less = (jnp.where((before == method.orders - less)[:, None], part, 0) for less in (0, 1))
+        return Orders(sums.radiance + part, sums.last + last, sums.before + one_less)
+
+    return _summed(lit, paths, Orders(dark, dark, dark), added)
+
+
+def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment, Array], T]) -> T:
+    """Sums over the segments of paths of what each brings, which `added` adds to them."""
+    method, count = paths.method, paths.method.segments()
+    one = jnp.ones((paths.length.shape[0], lit.nodes.count), paths.length.dtype)
+
+    def step(state: tuple[T, Array], own: tuple[Segment, Array]) -> tuple[tuple[T, Array], None]:
+        (sums, throughput), (segment, index) = state, own
+        brought = _brings(lit, paths, segment, index == 0, index == count - 1)
         passed, event = _event(lit, segment)
         if segment.scattering is not None:
             brought = brought + event * _direct_at_particles(lit, method, segment, segment.scattering)
-        return (
-            _added(sums, throughput * brought, segment, method),
-            throughput * _onward(lit, segment, passed, event),
-        ), None
+        sums = added(sums, throughput * brought, segment, index)
+        return (sums, throughput * _onward(lit, segment, passed, event)), None
 
-    index = jnp.arange(count, dtype=jnp.int32)
-    steps = (paths.segments, index == 0, index == count - 1)
-    return lax.scan(step, (Orders(dark, dark, dark), jnp.ones_like(dark)), steps)[0][0]
-
-
-def _added(sums: Orders, part: Array, segment: Segment, method: Method) -> Orders:
-    """The sums with what paths brought after as many scatterings as they had."""
-    if segment.scattering is None:
-        return sums._replace(radiance=sums.radiance + part)
-    before = segment.scattering.before
-    last, one_less = (jnp.where((before == method.orders - less)[:, None], part, 0) for less in (0, 1))
-    return Orders(sums.radiance + part, sums.last + last, sums.before + one_less)
+    return lax.scan(step, (sums, one), (paths.segments, jnp.arange(count, dtype=jnp.int32)))[0][0]
 
 
 # What a segment brings ------------------------------------------------------------------------------------------------

@@ -35,7 +35,10 @@ def test_bands_take_the_nodes_that_a_gas_needs_and_tell_what_they_err(air):
     error = np.abs(image.radiance[0, 0] / fine.radiance[0, 0] - 1)
     assert (np.abs(gray.radiance[0, 0] / fine.radiance[0, 0] - 1) > 0.3).all()
     assert (error < 0.03).all() and (error <= 1.5 * np.asarray(image.spectral) + 0.01).all()
-    assert image.error_budget().spectral is not None and gray.error_budget().spectral is None
+    own, given = (one.error_budget().spectral / one.radiant_intensity() for one in (image, gray))
+    np.testing.assert_allclose(own, image.spectral, rtol=1e-5)
+    assert gray.spectral is None  # found on demand
+    np.testing.assert_allclose(given, np.abs(gray.radiance[0, 0] / fine.radiance[0, 0] - 1), rtol=0.5)
 
 
 def test_what_is_gray_takes_one_node_a_band_and_what_is_asked_is_kept():
@@ -114,13 +117,64 @@ def test_a_budget_prints_every_part():
         "sampling",
         "spectral",
         "truncation",
+        "bounces",
         "outside",
         "total",
     ]
-    parts = (errors.sampling, errors.spectral, errors.truncation, errors.outside)
+    parts = (2 * errors.sampling, errors.spectral, errors.truncation, errors.bounces, errors.outside)
     np.testing.assert_allclose(errors.total, np.sqrt(sum(np.asarray(part) ** 2 for part in parts)), rtol=1e-6)
     table = jaxir.signature(slab(), [(0.0, 0.0), (90.0, 0.0)], (MWIR, LWIR), shape=(16, 16)).error_budget()
     assert "of the brightest of 2 views" in str(table) and table.total.shape == (2, 2)
+
+
+CORNER = jaxir.Mesh(  # three squares, open to (1, 1, 1)
+    [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]],
+    [[0, 1, 4], [0, 4, 2], [0, 2, 6], [0, 6, 3], [0, 3, 5], [0, 5, 1]],
+)
+
+
+@pytest.mark.parametrize("distance", [np.inf, 3.0])
+@pytest.mark.parametrize("emissivity, bounces", [(0.9, 0), (0.3, 0), (0.3, 2)])
+def test_bounces_left_out_are_told(emissivity, bounces, distance):
+    warm = jaxir.Skin(CORNER, np.array([500.0, 500, 300, 300, 300, 300]), jaxir.Lambert(emissivity))
+    scene = jaxir.Scene(warm, (), jaxir.DiscSource((3.0, 2.0, 2.0), (-1.0, 0.0, 0.0), 0.5, 200.0))
+    camera = jaxir.fitted_camera(40.0, 30.0, scene.extent(), (32, 32), distance)
+
+    def image(bounces):
+        return jaxir.render(scene, camera, (MWIR, LWIR), samples=32, method=jaxir.Method(bounces=bounces))
+
+    few, many = image(bounces), image(24)
+    missing = np.asarray(many.radiant_intensity() - few.radiant_intensity())
+    noise = np.hypot(few.intensity_error(), many.intensity_error())
+    assert (missing > 8 * noise).all()
+    told = np.asarray(few.error_budget().bounces)
+    assert (told > missing - 2 * noise).all() and (told < 1.35 * missing + 2 * noise).all()
+
+
+def test_where_skin_lights_no_skin_nothing_bounces():
+    convex, plane = jaxir.Scene(jaxir.Skin(box_mesh(), 300.0, jaxir.Lambert(0.5))), jaxir.Scene(plate())
+    facing = jaxir.Mesh([[0.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0], [1, 1, 0], [1, 0, 1]], [[0, 2, 1], [3, 4, 5]])
+    backs = jaxir.Scene(jaxir.Skin(facing, 300.0, jaxir.Lambert(0.5)))  # they see each other with their backs
+    camera = jaxir.orthographic_camera(30.0, 10.0, 0.1, (16, 16))
+    for scene, lit in ((convex, False), (plane, False), (backs, True)):
+        assert (float(jaxir.render(scene, camera, LWIR, samples=2).error_budget().bounces[0]) > 0) == lit
+    table = jaxir.signature(backs, [(30.0, 10.0), (90.0, 0.0)], (MWIR, LWIR), shape=(16, 16)).error_budget()
+    assert table.bounces.shape == (2, 2) and (np.asarray(table.bounces) > 0).all()
+    guess = jaxir.Method(ambient=5.0)
+    assert jaxir.render(backs, camera, LWIR, samples=2, method=guess).error_budget().bounces is None
+
+
+def test_a_band_with_a_response_takes_more_than_one_node():
+    triangle = jaxir.sensor_band("triangle", (3.0, 4.0, 5.0), (0.0, 1.0, 0.0))
+    scene = jaxir.Scene(plate())
+    image = jaxir.render(scene, PIXEL, triangle, samples=2)
+    wavelength = np.linspace(3.0, 5.0, 2001)
+    per_um = np.asarray(jaxir.optics.spectrum.spectral_radiance_wavelength(jnp.asarray(wavelength), jnp.asarray(400.0)))
+    true = 0.5 * np.trapezoid(per_um * np.interp(wavelength, (3, 4, 5), (0, 1, 0)), wavelength)
+    told = float(image.error_budget().spectral[0] / image.radiant_intensity()[0])
+    assert abs(float(image.radiance[0, 0, 0]) / true - 1) < told + 2e-3 < 0.03
+    gray = jaxir.render(scene, PIXEL, jaxir.gray_nodes((triangle,)), samples=2)
+    assert abs(float(gray.radiance[0, 0, 0]) / true - 1) > 0.05 and gray.error_budget().spectral is None
 
 
 # Tolerances and geometry ----------------------------------------------------------------------------------------------

@@ -8,10 +8,12 @@ from jaxir.geometry import Rays
 from jaxir.optics.spectrum import (
     LWIR,
     MWIR,
+    RESOLUTIONS,
     SWIR,
     Band,
     Resolution,
     band_radiance,
+    finer_nodes,
     gray_nodes,
     nodes_for,
     quantiles,
@@ -169,3 +171,12 @@ def test_hot_line_through_the_same_cold_line(hot_strength, cold_strength, exact)
     emitted, passed = -np.expm1(-depth[hot_strength]), np.exp(-depth[cold_strength])
     assert weight @ (emitted * passed) == pytest.approx(exact, rel=1e-3)
     assert (weight @ emitted) * (weight @ passed) > 1.3 * exact
+
+
+def test_nodes_are_refined_to_the_finest_of_their_bands():
+    bands = (MWIR, LWIR)
+    finest = resolved_nodes(bands, *RESOLUTIONS[-1])
+    for coarse in (gray_nodes(bands), resolved_nodes(bands, 200.0, 4, 3), resolved_nodes(bands)):
+        found = finer_nodes(coarse)
+        for name in ("lower", "upper", "g", "weight", "response"):
+            np.testing.assert_allclose(getattr(found, name), getattr(finest, name), rtol=1e-6)

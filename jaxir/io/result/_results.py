@@ -1,6 +1,7 @@
 """Images and signature tables out: NPZ, float32 TIFF, NetCDF, CSV. Every file is written whole or not at all.
 
 `conditions` say of what and how a result was computed: pairs of a name and a text or number that go into the file.
+`errors` is the result's `error_budget()`, whose known parts and total [W sr-1] go into the file, too.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxir.imaging import Image, Signature
+from jaxir.imaging import ErrorBudget, Image, Signature
 from jaxir.io._files import written_whole
 
 Conditions = Mapping[str, str | int | float]
@@ -22,22 +23,32 @@ RADIANCE = "W m-2 sr-1"
 INTENSITY = "W sr-1"
 
 
-def save_image(path: str | os.PathLike, image: Image, conditions: Conditions | None = None) -> None:
+def _columns(errors: ErrorBudget | None) -> dict[str, np.ndarray]:
+    """Known errors [*view, band] by the name that they have in files."""
+    found = {} if errors is None else errors.written()
+    return {f"{name}_error": np.asarray(values) for name, values in found.items() if values is not None}
+
+
+def save_image(
+    path: str | os.PathLike, image: Image, conditions: Conditions | None = None, errors: ErrorBudget | None = None
+) -> None:
     """Write an image as NPZ.
 
     The arrays: radiance and standard_error [row, column, band] in W m-2 sr-1, empty [row or 1, column or 1, band],
     bands, pixel [2] in m, inverse_range in m-1, frame [3, 3] and target [3] of the camera, unit, and the conditions
-    as JSON.
+    as JSON; with `errors` intensity, sampling_error, spectral_error and so on to total_error [band] in W sr-1.
 
     Args:
         path: the file, ending in .npz.
         image: what to write.
         conditions: see this module's head.
+        errors: likewise.
 
     Raises:
         ValueError: another ending, or a folder that does not exist.
     """
     require_suffix(path, ".npz")
+    more: dict[str, Any] = {} if errors is None else {"intensity": np.asarray(errors.intensity), **_columns(errors)}
     with written_whole(path) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
@@ -51,6 +62,7 @@ def save_image(path: str | os.PathLike, image: Image, conditions: Conditions | N
             target=np.asarray(image.camera.target),
             unit=RADIANCE,
             conditions=json.dumps(dict(conditions or {})),
+            **more,
         )
 
 
@@ -79,17 +91,24 @@ def save_tiff(path: str | os.PathLike, image: Image, conditions: Conditions | No
             writer.write(radiance[:, :, index], photometric="minisblack", description=described, metadata=None)
 
 
-def save_netcdf(path: str | os.PathLike, result: Image | Signature, conditions: Conditions | None = None) -> None:
+def save_netcdf(
+    path: str | os.PathLike,
+    result: Image | Signature,
+    conditions: Conditions | None = None,
+    errors: ErrorBudget | None = None,
+) -> None:
     """Write an image or a signature as NetCDF (version 3), through xarray.
 
     An image holds radiance and standard_error [row, column, band] and empty, with the place of the pixels' centres in
     the plane through the target [m]; a signature holds intensity and standard_error [view, band] with azimuth and
-    elevation [view] in degrees. Every variable has its `units`; the conditions are attributes of the file.
+    elevation [view] in degrees. Every variable has its `units`; the conditions are attributes of the file. With
+    `errors` there are sampling_error, spectral_error and so on to total_error, of an image [band] with its intensity.
 
     Args:
         path: the file, ending in .nc.
         result: what to write.
         conditions: see this module's head.
+        errors: likewise.
 
     Raises:
         ValueError: another ending, or a folder that does not exist.
@@ -101,6 +120,10 @@ def save_netcdf(path: str | os.PathLike, result: Image | Signature, conditions: 
         raise ImportError('writing NetCDF needs xarray: pip install "jaxir[netcdf]"') from error
     require_suffix(path, ".nc")
     data = xarray.Dataset(*(_image_data(result) if isinstance(result, Image) else _signature_data(result)))
+    if errors is not None:
+        axes = ("view", "band")[-errors.intensity.ndim :]
+        for name, values in {"intensity": np.asarray(errors.intensity), **_columns(errors)}.items():
+            data[name] = axes, values, {"units": INTENSITY}
     data.attrs.update(conditions or {})
     with written_whole(path) as part:
         data.to_netcdf(part, engine="scipy")
@@ -146,17 +169,25 @@ def _signature_data(table: Signature) -> tuple[dict[str, Any], dict[str, Any], d
     return variables, coordinates, {}
 
 
-def save_signature(path: str | os.PathLike, signature: Signature, conditions: Conditions | None = None) -> None:
+def save_signature(
+    path: str | os.PathLike,
+    signature: Signature,
+    conditions: Conditions | None = None,
+    errors: ErrorBudget | None = None,
+) -> None:
     """Write a signature as CSV: azimuth_deg, elevation_deg, then intensity and standard error of every band in W/sr.
 
-    Conditions come first, as comments: lines `# name: value`.
+    Conditions come first, as comments: lines `# name: value`. With `errors` every band has its other errors, too.
 
     Raises:
         ValueError: another ending than .csv, or a folder that does not exist.
     """
     require_suffix(path, ".csv")
-    columns = [f"{band}_{what}" for band in signature.bands for what in ("W_per_sr", "standard_error_W_per_sr")]
-    values = np.stack([np.asarray(signature.intensity), np.asarray(signature.standard_error)], axis=-1)
+    others = {name: values for name, values in _columns(errors).items() if name != "sampling_error"}
+    named = {"": signature.intensity, "standard_error_": signature.standard_error}
+    named |= {f"{name}_": values for name, values in others.items()}
+    columns = [f"{band}_{what}W_per_sr" for band in signature.bands for what in named]
+    values = np.stack([np.asarray(part) for part in named.values()], axis=-1)
     with written_whole(path) as part, part.open("w", newline="", encoding="utf-8") as stream:
         stream.writelines(f"# {name}: {_one_line(value)}\r\n" for name, value in (conditions or {}).items())
         writer = csv.writer(stream)

@@ -23,6 +23,7 @@ from jaxir.imaging import (
     is_traced,
     item_by_item,
     prepare_views,
+    remembering,
     shared_by,
     view_intensity,
     whole_table,
@@ -108,7 +109,7 @@ def sweep(
             for place, *values in zip(index.tolist(), *rows, strict=True):
                 files.write(place, *values)
     empty = np.zeros((3, count, width), asked.aspect.dtype)
-    return whole_table(asked, tuple(jnp.asarray(_from_first(files.read, empty))))
+    return remembering(whole_table(asked, tuple(jnp.asarray(_from_first(files.read, empty)))), scene, asked)
 
 
 class _Folder:

@@ -14,12 +14,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._math import gauss_legendre
-from jaxir.optics.spectrum._band import Band, Nodes, build_nodes, gray_nodes
+from jaxir.optics.spectrum._band import Band, Nodes, bin_edges, build_nodes, gray_nodes
 
 CO2_H2O_OVERLAP = ((800.0, 1150.0), (3300.0, 3800.0), (4800.0, 5150.0))
 """Where CO2 and H2O of combustion products both matter [cm-1]: elsewhere between 800 and 9300 cm-1 a common quantile
 changes the radiance of SWIR, MWIR or LWIR by less than 0.3 % (1e-3 rms)."""
 
+_GRAIN = 1e-9  # of edges that went through `Nodes.edge`
 _STRETCH = 3  # g = 1 - (1 - s)^3 crowds the points where the few strong values of k lie
 
 
@@ -92,11 +93,42 @@ def resolved_nodes(
     for i, band in enumerate(bands):
         response[i, inside[i]] = band.mean_response(lower[inside[i]], upper[inside[i]])
 
+    return _with_quantiles(lower, upper, response, points, pair_points, overlap, [band.name for band in bands])
+
+
+def finer_nodes(nodes: Nodes) -> Nodes:
+    """The bins of nodes cut at multiples of the finest width, with as many quantiles as the finest resolution has.
+
+    A response stays the mean one over each bin. On the host.
+    """
+    width, points, pair_points = RESOLUTIONS[-1]
+    lower, upper = bin_edges(nodes)
+    bins = np.unique(np.vstack([lower, upper, np.asarray(nodes.response, np.float64)]), axis=1)
+    pieces = []
+    for low, high, *response in bins.T.tolist():
+        inner = width * np.arange(np.floor(low / width) + 1, np.ceil(high / width))
+        cuts = np.concatenate([[low], inner[(inner > low * (1 + _GRAIN)) & (inner < high * (1 - _GRAIN))], [high]])
+        pieces.append(np.vstack([cuts[:-1], cuts[1:], np.repeat(np.array(response)[:, None], cuts.size - 1, axis=1)]))
+    lower, upper, *response = np.hstack(pieces)
+    return _with_quantiles(lower, upper, np.array(response), points, pair_points, CO2_H2O_OVERLAP, nodes.names)
+
+
+def _with_quantiles(
+    lower: np.ndarray,
+    upper: np.ndarray,
+    response: np.ndarray,
+    points: int,
+    pair_points: int,
+    overlap: Sequence[tuple[float, float]],
+    names: Sequence[str],
+) -> Nodes:
+    """Nodes of bins [bin] and responses [band, bin], see `resolved_nodes`."""
     g, weight = quantiles(points)
     single = np.stack([g, g], axis=-1), weight
     pair = _square(pair_points) if pair_points else single
     limits = np.asarray(overlap, np.float64).reshape(-1, 2)
-    touched = np.any((lower[:, None] < limits[:, 1]) & (upper[:, None] > limits[:, 0]), axis=1)
+    low, high = (lower * (1 + _GRAIN))[:, None], (upper * (1 - _GRAIN))[:, None]
+    touched = np.any((low < limits[:, 1]) & (high > limits[:, 0]), axis=1)
     sets = [pair if two else single for two in touched.tolist()]
     repeat = np.repeat(np.arange(lower.size), [weight.size for _, weight in sets])
     return build_nodes(
@@ -105,7 +137,7 @@ def resolved_nodes(
         g=np.concatenate([g for g, _ in sets]),
         weight=np.concatenate([weight for _, weight in sets]),
         response=response[:, repeat],
-        names=[band.name for band in bands],
+        names=names,
     )
 
 

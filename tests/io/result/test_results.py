@@ -1,10 +1,11 @@
 """Images and tables: every format read back, nothing half written."""
 
+import equinox as eqx
 import numpy as np
 import pytest
 
 import jaxir
-from jaxir.io.result import save_image, save_signature, save_tiff
+from jaxir.io.result import save_image, save_netcdf, save_signature, save_tiff
 from tests.scenes import plate
 
 
@@ -41,6 +42,30 @@ def test_signature_table(tmp_path):
     held = np.array([[float(cell) for cell in row.split(",")] for row in rows])
     np.testing.assert_allclose(held[:, 2], table.intensity[:, 0], rtol=1e-6)
     np.testing.assert_allclose(held[:, :2], [(0.0, 0.0), (30.0, -10.0)], rtol=1e-6)
+
+
+def test_errors_are_written_part_by_part(image, tmp_path):
+    xarray = pytest.importorskip("xarray")
+    errors = image.error_budget()
+    save_image(tmp_path / "image.npz", image, errors=errors)
+    save_netcdf(tmp_path / "image.nc", image, errors=errors)
+    with np.load(tmp_path / "image.npz") as held, xarray.open_dataset(tmp_path / "image.nc", engine="scipy") as data:
+        for name in ("intensity", "sampling", "spectral", "truncation", "bounces", "outside", "total"):
+            column = name if name == "intensity" else f"{name}_error"
+            np.testing.assert_array_equal(held[column], getattr(errors, name))
+            np.testing.assert_array_equal(data[column], getattr(errors, name))
+            assert data[column].dims == ("band",) and data[column].attrs["units"] == "W sr-1"
+    table = jaxir.signature(jaxir.Scene(plate()), [(0.0, 0.0), (30.0, 0.0)], jaxir.LWIR, shape=(16, 16))
+    errors = eqx.tree_at(lambda e: e.spectral, table.error_budget(), None)  # what is not known has no column
+    save_signature(tmp_path / "table.csv", table, errors=errors)
+    save_netcdf(tmp_path / "table.nc", table, errors=errors)
+    header, first, _ = (tmp_path / "table.csv").read_text().splitlines()
+    columns = header.split(",")
+    assert columns[3:5] == ["LWIR_standard_error_W_per_sr", "LWIR_truncation_error_W_per_sr"]
+    assert columns[-1] == "LWIR_total_error_W_per_sr" and not [name for name in columns if "spectral" in name]
+    assert float(first.split(",")[-1]) == pytest.approx(float(errors.total[0, 0]), rel=1e-6)
+    with xarray.open_dataset(tmp_path / "table.nc", engine="scipy") as data:
+        assert data.total_error.dims == ("view", "band") and "spectral_error" not in data
 
 
 @pytest.mark.parametrize("save", [save_image, save_tiff])
