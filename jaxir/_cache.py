@@ -1,4 +1,4 @@
-"""Compiled programs kept on disk, so that a second process does not compile what a first one has.
+"""Compiled programs, and what is costly to find, kept on disk, so that a second process finds it there.
 
 JAX can keep every program that XLA compiles in a folder, under a key made from the program itself, the compiler's
 version and its options, and does so only where it is told a folder. `import jaxir` tells it one, unless the user has
@@ -6,6 +6,7 @@ named one (`jax_compilation_cache_dir`) or the environment variable `JAXIR_CACHE
 folder. By default it is `$XDG_CACHE_HOME/jaxir/<jaxlib>-<processor>-<jaxir>`, or `~/.cache` in place of the variable.
 
 Who can write the folder can run code in the process, so it is private (mode 0700), and one of another user is not used.
+Other values (`kept`, `keep`) lie in the same folder, under a key that holds a digest of the package's own files.
 Each file begins with the SHA-256 of the rest: one that is cut or damaged is left out and compiled anew. Files are
 written whole or not at all; when they are more than `LIMIT` bytes together, those used longest ago are deleted.
 """
@@ -18,6 +19,7 @@ import os
 import platform
 import stat
 import sys
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -33,6 +35,24 @@ _DIGEST = hashlib.sha256().digest_size
 def compilation_cache() -> str:
     """One line that says where compiled programs are kept on disk, or why they are not."""
     return _STATE[0]
+
+
+def kept(key: str) -> bytes | None:
+    """What `keep` was given under the key by this code, in this process or an earlier one; None where it is missing."""
+    return _FOLDERS[0].get(_of_this_code() + key) if _FOLDERS else None
+
+
+def keep(key: str, value: bytes) -> None:
+    """Keep a value for later processes, where jaxir keeps its programs; else do nothing."""
+    if _FOLDERS:
+        _FOLDERS[0].put(_of_this_code() + key, value)
+
+
+@cache
+def _of_this_code() -> str:
+    """A digest of the package's code and data."""
+    files = sorted(path for path in Path(__file__).parent.rglob("*") if path.suffix in (".py", ".csv"))
+    return hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
 
 
 def _say(why: str) -> None:
@@ -135,9 +155,11 @@ def _decide() -> str:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
         inner._cache, inner._cache_initialized = _Folder(path), True
+        _FOLDERS.append(inner._cache)
     except (ImportError, AttributeError) as error:
         return f"compilation cache: off, because this jax keeps it in another way ({error})"
     return f"compilation cache: {path}, set by jaxir ({VARIABLE}=0 prevents it)"
 
 
+_FOLDERS: list[_Folder] = []
 _STATE = [_decide()]

@@ -12,8 +12,9 @@ import pytest
 from jax import monitoring
 
 import jaxir
-from jaxir import MWIR
+from jaxir import MWIR, _cache
 from jaxir._cache import _SUFFIX
+from jaxir.scene import _resolution
 
 ROOT = Path(__file__).parent.parent
 GRID = jaxir.Grid((-1.0, -0.5, -0.5), (0.25, 0.25, 0.25), (4, 4, 4))
@@ -158,3 +159,33 @@ def test_the_user_decides():
     assert run(code, JAXIR_CACHE="0") == ["compilation cache: off, because JAXIR_CACHE says so"]
     named = "import jax; jax.config.update('jax_compilation_cache_dir', '/named'); " + code
     assert run(named, JAXIR_CACHE="") == ["compilation cache: /named, as jax_compilation_cache_dir says"]
+
+
+class OtherGas(jaxir.NarrowBandGas):
+    """A gas of a user's, who may change its code."""
+
+
+def test_a_choice_of_nodes_is_found_by_later_processes(tmp_path, monkeypatch):
+    grid = jaxir.Grid((0.0, -0.4, -0.4), (0.8, 0.8, 0.8), (1, 1, 1))
+
+    def slab(temperature, kind=jaxir.NarrowBandGas):
+        return jaxir.Scene(None, jaxir.GridPlume(grid, temperature, kind(101325.0, h2o=0.1, co2=0.1)))
+
+    calls, fewest = [], _resolution._fewest
+    monkeypatch.setattr(_cache, "_FOLDERS", [_cache._Folder(tmp_path)])
+    monkeypatch.setattr(_resolution, "_fewest", lambda *given: calls.append(0) or fewest(*given))
+
+    def chosen(scene):
+        monkeypatch.setattr(_resolution, "_chosen", {})  # as in another process
+        nodes = jaxir.scene_nodes(scene, MWIR)
+        return nodes.count, nodes.error.tolist(), len(calls)
+
+    first = chosen(slab(950.0))
+    (file,) = tmp_path.iterdir()
+    assert chosen(slab(950.0)) == first and first[2] == 1
+    file.write_bytes(file.read_bytes()[:-1])
+    assert chosen(slab(950.0)) == (*first[:2], 2)  # what is damaged is found anew
+    assert chosen(slab(960.0))[2] == 3 and len(list(tmp_path.iterdir())) == 2
+    assert [chosen(slab(950.0, OtherGas))[2] for _ in range(2)] == [4, 5]  # another file may define it tomorrow
+    monkeypatch.setattr(_cache, "_of_this_code", lambda: "changed")
+    assert chosen(slab(950.0))[2] == 6

@@ -102,7 +102,7 @@ def left_out(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Flo
         facing = jnp.maximum(facing, 0) if closed else jnp.abs(facing)
         sums = jnp.cumsum(facing)
         u = jax.random.uniform(for_place, (PATHS, 3), corners.dtype)
-        even = (jnp.arange(PATHS, dtype=jnp.int32) + u[:, 0]) / PATHS
+        even = (jnp.arange(PATHS, dtype=u.dtype) + u[:, 0]) / PATHS
         face = jnp.clip(jnp.searchsorted(sums, even * sums[-1]), 0, mesh.count - 1)
         root = jnp.sqrt(u[:, 1])
         share = jnp.stack([1 - root, root * (1 - u[:, 2]), root * u[:, 2]], axis=1)
