@@ -141,6 +141,9 @@ def _parser() -> argparse.ArgumentParser:
                 help="; ".join(f"{quantity}: {what}" for quantity, what in QUANTITIES.items())
                 + ". May be repeated, which puts its name into the files' names (default: apparent)",
             )
+            command.add_argument(
+                "--errors", action="store_true", help="look for what bounces leave out, too; compiles another program"
+            )
         command.add_argument("--traceback", action="store_true", help="show where in the program an error arose")
     return parser
 
@@ -245,7 +248,7 @@ def _render(arguments: argparse.Namespace) -> None:
             image = _of(read, partial(render, scene, camera, read.bands, method=read.method, **read.render))
             if bool(image.outcome == Outcome.samples_spent):
                 warnings.warn(f"{read.file}: render.rtol was not met with {int(image.samples)} samples", stacklevel=1)
-            errors = image.error_budget()
+            errors = image.error_budget(arguments.errors)
             _warn_of_errors(read, errors)
             conditions = _conditions(
                 read, quantity, began, errors=errors.described(), **_camera_conditions(name, camera, image)
@@ -282,7 +285,7 @@ def _signature(arguments: argparse.Namespace) -> None:
     for quantity, label in quantities.items():
         scene, began = _scene_of(read, quantity), time.perf_counter()
         table = _of(read, partial(signature, scene, bands=read.bands, method=read.method, **read.signature))
-        errors = table.error_budget()
+        errors = table.error_budget(arguments.errors)
         _warn_of_errors(read, errors)
         print(f"{quantity}\n{errors}")
         conditions = _conditions(read, quantity, began, errors=errors.described(), unit="W sr-1")

@@ -30,7 +30,7 @@ PARTS = ("sampling", "spectral", "truncation", "bounces", "outside")
 DRAWN = (
     "corner, .5, one bounce",
     "corner, disc",
-    "cloud, sun, 2 orders",
+    "cloud 1, sun, 2 orders",
     "jet through 2 km",
     "body and jet, air",
     "cut jet",
@@ -96,7 +96,7 @@ def jet(hot=900.0, particles=None):
 
 def soot(depth, albedo):
     """Particles of an optical depth across the plume's .8 m."""
-    return jaxir.GrayParticles(depth / 0.8 * (1 - albedo), depth / 0.8 * albedo, jaxir.HenyeyGreenstein(0.5))
+    return jaxir.GrayParticles(depth / 0.8, albedo, jaxir.HenyeyGreenstein(0.5))
 
 
 def air(distance):
@@ -145,7 +145,7 @@ def cases() -> Iterator[Case]:
     yield Case("cut body and plume", whole, (90.0, 0.0), camera=cut(whole, 0.75))
     for depth, albedo, orders in ((1.0, 0.8, 10), (1.0, 0.8, 2), (4.0, 0.9, 4)):
         cloud = Scene(plumes=plume(0.05, 800.0, soot(depth, albedo)), sources=(SUN,))
-        name = f"cloud, sun, {orders} orders"
+        name = f"cloud {depth:g}, sun, {orders} orders"
         yield Case(name, cloud, method=Method(orders=orders), samples=8, reference=(64, 16))
     cloud = Scene(plumes=plume(0.05, 900.0, soot(2.0, 0.9)), background=SKY)
     yield Case("cloud, sky", cloud, samples=8, reference=(64, 16))

@@ -18,6 +18,7 @@ PARTS = {
     "bounces": "bounces from skin beyond the last",
     "outside": "of the scene beyond the frame",
 }
+ROUGH = 1.25  # times what is outside: brightness without rays errs by so much
 COVERAGE = 2  # standard errors of sampling that the total counts
 
 
@@ -34,7 +35,7 @@ class ErrorBudget(eqx.Module):
         truncation: what orders of scattering beyond the last would add, from the fall of the last two [*view, band];
             0 without particles.
         bounces: what bounces from skin beyond the last would add, from few paths followed further [*view, band]; None
-            where that is not known, as inside jit and with `Method.ambient`.
+            where that is not known: not looked for, inside jit, and with `Method.ambient`.
         outside: what of the scene lies beyond the frame, from where it is bright before any ray is traced
             [*view, band].
         bands: band names.
@@ -121,10 +122,11 @@ def budget(
     outside: Float[Array, " band"] | None,
     bands: tuple[str, ...],
     asked: Asked | None,
+    look: bool,
 ) -> ErrorBudget:
     """The budget of intensities; nodes, orders and what is outside come as shares of them.
 
-    What is not known yet is looked for where it is known what was `asked`.
+    What is not known yet is found where it is known what was `asked`, by rays only with `look`.
     """
     none = jnp.zeros_like(intensity)
 
@@ -132,11 +134,11 @@ def budget(
         return None if share is None else _product(jnp.abs(intensity), share)
 
     left_out = times(truncation)
-    beyond = none if outside is None else times(outside / (1 - outside))  # of what is seen
+    beyond = none if outside is None else times(ROUGH * outside / (1 - outside))  # of what is seen
     assert left_out is not None and beyond is not None
     bounces = None
     if asked is not None and not isinstance(intensity, jax.core.Tracer):
-        spectral, bounces = asked.spectral() if spectral is None else spectral, asked.bounces()
+        spectral, bounces = asked.spectral(look) if spectral is None else spectral, asked.bounces(look)
     return ErrorBudget(intensity, sampling, times(spectral), left_out, bounces, beyond, bands)
 
 

@@ -71,14 +71,16 @@ class Image(eqx.Module):
         """
         return _intensity_error(self.camera, self.standard_error)
 
-    def error_budget(self) -> ErrorBudget:
+    def error_budget(self, look: bool = True) -> ErrorBudget:
         """The radiant intensity with all that is known of its error.
 
-        What nodes that were given err and what bounces left out would add is looked for now, by a few rays; a program
-        for it is compiled at the first call for scenes of one structure.
+        Args:
+            look: whether to look now, by few rays, for what nodes that were given err and bounces left out would add.
+                The first look at scenes of one structure compiles as much as an image; without it they are not known,
+                unless nothing can be there.
         """
-        intensity, error = self.radiant_intensity(), self.intensity_error()
-        return budget(intensity, error, self.spectral, self.truncation, self.outside, self.bands, self.asked)
+        own = self.radiant_intensity(), self.intensity_error(), self.spectral, self.truncation, self.outside
+        return budget(*own, self.bands, self.asked, look)
 
     @property
     def truncation(self) -> Float[Array, " band"]:

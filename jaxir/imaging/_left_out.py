@@ -38,21 +38,25 @@ class Asked(eqx.Module):
     cameras: Camera
     method: Method
 
-    def spectral(self) -> Float[Array, " band"] | None:
-        """What the nodes err, as a share of the intensity [band]; None where that cannot be known."""
+    def spectral(self, look: bool) -> Float[Array, " band"] | None:
+        """What the nodes err, as a share of the intensity [band]; None where no look is taken or none can tell."""
+        if self.scene.has_spectrum and not look:
+            return None
         with jax.ensure_compile_time_eval():
             return nodes_error(self.scene, self.nodes)
 
-    def bounces(self) -> Float[Array, "*view band"] | None:
-        """What `left_out` finds [*view, band] [W sr-1]; None where `Method.ambient` stands for it.
+    def bounces(self, look: bool) -> Float[Array, "*view band"] | None:
+        """What `left_out` finds [*view, band] [W sr-1]; None without a look, or where `Method.ambient` stands for it.
 
-        0 without a look where skin can light no skin: without skin, or convex or plane skin without plumes.
+        0 without a look, too, where skin can light no skin: without skin, or convex or plane skin without plumes.
         """
         if self.method.ambient is not None:
             return None
         views = self.cameras.frame.shape[:-2]
         if not _skin_is_lit_by_parts(self.scene):
             return placed(np.zeros((*views, self.nodes.response.shape[0]), self.nodes.weight.dtype))
+        if not look:
+            return None
         cameras = self.cameras if views else jax.tree.map(lambda leaf: leaf[None], self.cameras)
         method = dataclasses.replace(self.method, bounces=self.method.bounces + FURTHER)
         with jax.ensure_compile_time_eval():

@@ -49,13 +49,13 @@ class Signature(eqx.Module):
     spectral: Float[Array, " band"] | None = None
     asked: Asked | None = None
 
-    def error_budget(self) -> ErrorBudget:
+    def error_budget(self, look: bool = True) -> ErrorBudget:
         """The intensities with all that is known of their errors, see `Image.error_budget`.
 
         Every view holds the whole scene.
         """
         own = self.intensity, self.standard_error, self.spectral, self.truncation
-        return budget(*own, None, self.bands, self.asked)
+        return budget(*own, None, self.bands, self.asked, look)
 
 
 class Views(NamedTuple):

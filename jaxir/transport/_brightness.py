@@ -21,6 +21,8 @@ from jaxir.geometry import Brightness, Camera, graded_camera
 from jaxir.geometry.search import face_normal
 from jaxir.scene import Lit
 
+PROJECTED = 2**16  # points of faces, but at least four of each
+
 
 class _Shining(NamedTuple):
     """What shines: faces with their radiance [face, band], capsules with their intensity [capsule, band]."""
@@ -60,8 +62,8 @@ def brightness(lit: Lit) -> Brightness:
 def share_outside(lit: Lit, camera: Camera) -> Float[Array, " band"]:
     """About the share of a scene's intensity that a camera's frame leaves out [band]; without derivatives.
 
-    Of every face that looks at the eye four points are projected, its centre and the points half way to the corners,
-    of every capsule of a plume its middle and points towards the ends. Nothing hides anything.
+    Of every face that looks at the eye the centres of four pieces or, of few faces, of more are projected, of every
+    capsule of a plume its middle and points towards the ends. Nothing hides anything.
     """
     corners, radiance, ends, _, intensity = _shining(lit)
     camera = lax.stop_gradient(camera)
@@ -72,14 +74,22 @@ def share_outside(lit: Lit, camera: Camera) -> Float[Array, " band"]:
         return jnp.mean(out.astype(point.dtype), axis=-1)
 
     vector = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    centre = corners.mean(axis=1, keepdims=True)
+    place = jnp.asarray(_centres(int(min(max((PROJECTED / max(len(corners), 1)) ** 0.5, 2), 16))), corners.dtype)
     seen = jnp.maximum(vector @ camera.frame[2], 0)[:, None] * radiance
-    of_faces = beyond(jnp.concatenate([centre, (corners + centre) / 2], axis=1))
+    of_faces = beyond(jnp.einsum("pc,fck->fpk", place, corners))
     along = jnp.asarray([0.1, 0.3, 0.5, 0.7, 0.9], ends.dtype)[None, :, None]
     of_capsules = beyond(ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]))
     total = jnp.sum(seen, axis=0) + jnp.sum(intensity, axis=0)
     left_out = of_faces @ seen + of_capsules @ intensity
     return left_out / jnp.where(total > 0, total, 1)
+
+
+def _centres(cuts: int) -> np.ndarray:
+    """Barycentric coordinates of the centres of the cuts^2 equal pieces of a triangle [piece, 3]."""
+    i, j = np.indices((cuts, cuts)).reshape(2, -1)
+    upright, other = (np.stack([i, j], 1)[i + j < cuts - more] + (1 + more) / 3 for more in (0, 1))
+    two = np.concatenate([upright, other]) / cuts
+    return np.concatenate([1 - two.sum(axis=1, keepdims=True), two], axis=1)
 
 
 @eqx.filter_jit

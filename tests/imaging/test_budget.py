@@ -106,7 +106,7 @@ def test_what_lies_beyond_the_frame_is_told(seen):
     errors = jaxir.render(scene, camera, LWIR, samples=2).error_budget()
     missing = float(whole.radiant_intensity()[0] - errors.intensity[0])
     told = float(errors.outside[0])
-    assert told == pytest.approx(missing, rel=0.35, abs=0.02 * float(whole.radiant_intensity()[0]))
+    assert told == pytest.approx(1.25 * missing, rel=0.1, abs=0.02 * float(whole.radiant_intensity()[0]))
     assert float(errors.total[0]) >= told
 
 
@@ -158,7 +158,9 @@ def test_where_skin_lights_no_skin_nothing_bounces():
     backs = jaxir.Scene(jaxir.Skin(facing, 300.0, jaxir.Lambert(0.5)))  # they see each other with their backs
     camera = jaxir.orthographic_camera(30.0, 10.0, 0.1, (16, 16))
     for scene, lit in ((convex, False), (plane, False), (backs, True)):
-        assert (float(jaxir.render(scene, camera, LWIR, samples=2).error_budget().bounces[0]) > 0) == lit
+        image = jaxir.render(scene, camera, LWIR, samples=2)
+        assert (float(image.error_budget().bounces[0]) > 0) == lit
+        assert (image.error_budget(look=False).bounces is None) == lit
     table = jaxir.signature(backs, [(30.0, 10.0), (60.0, 0.0)], (MWIR, LWIR), shape=(16, 16)).error_budget()
     assert table.bounces.shape == (2, 2) and (np.asarray(table.bounces) > 0).all()
     guess = jaxir.Method(ambient=5.0)
@@ -166,13 +168,13 @@ def test_where_skin_lights_no_skin_nothing_bounces():
 
 
 def test_a_band_with_a_response_takes_more_than_one_node():
-    triangle = jaxir.sensor_band("triangle", [3.0, 4.0, 5.0], [0.0, 1.0, 0.0])
+    triangle = jaxir.sensor_band("triangle", [3.0, 3.2, 5.0], [0.0, 1.0, 0.0])
     scene = jaxir.Scene(plate())
     image = jaxir.render(scene, PIXEL, triangle, samples=2)
     wavelength = np.linspace(3.0, 5.0, 2001)
     x = jnp.asarray(wavelength, jnp.float32)
     per_um = np.asarray(spectral_radiance_wavelength(x, jnp.full_like(x, 400.0)))
-    true = 0.5 * np.trapezoid(per_um * np.interp(wavelength, (3, 4, 5), (0, 1, 0)), wavelength)
+    true = 0.5 * np.trapezoid(per_um * np.interp(wavelength, (3, 3.2, 5), (0, 1, 0)), wavelength)
     told = float(image.error_budget().spectral[0] / image.radiant_intensity()[0])
     assert abs(float(image.radiance[0, 0, 0]) / true - 1) < told + 2e-3 < 0.03
     gray = jaxir.render(scene, PIXEL, jaxir.gray_nodes((triangle,)), samples=2)
