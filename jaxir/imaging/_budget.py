@@ -14,7 +14,7 @@ from jaxir.imaging._left_out import Asked
 PARTS = {
     "sampling": "of rays within pixels and of sampled light",
     "spectral": "of the spectral nodes",
-    "truncation": "orders of scattering beyond the last",
+    "truncation": "scattered light that is left out",
     "bounces": "bounces from skin beyond the last",
     "outside": "of the scene beyond the frame",
 }

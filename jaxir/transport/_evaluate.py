@@ -95,6 +95,7 @@ def _solved(lit: Lit, method: Method) -> Lit:
 
 def bounced(lit: Lit, paths: Paths, least: int) -> Float[Array, "bounce ray node"]:
     """What paths bring after `least`, least + 1, ... `Method.bounces` reflections each [bounce, ray, node]."""
+    lit = with_scattered(lit, paths.method)
     dark = jnp.zeros((paths.method.bounces + 1 - least, paths.length.shape[0], lit.nodes.count), paths.length.dtype)
     asked = jnp.arange(least, paths.method.bounces + 1, dtype=jnp.int32)
 
