@@ -18,7 +18,15 @@ from jaxir.geometry.search import may_see
 from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
-from jaxir.transport import Method, error_of_bands, evaluate_orders, share_outside, trace, with_scattered
+from jaxir.transport import (
+    Method,
+    error_of_bands,
+    evaluate_orders,
+    share_outside,
+    solution_checks,
+    trace,
+    with_scattered,
+)
 
 TILES = 64  # of a chunk at most
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in the cache
@@ -122,7 +130,8 @@ def first_pass(
     nodes = enforce(nodes, [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene)])
     method = method.resolved(scene)
     lit, reach = _prepared(scene, nodes, camera, method)
-    return Pass(enforce(lit, [eye_outside(reach)]), camera, key, as_number(0), strata, method, parts)
+    lit = enforce(lit, [eye_outside(reach), *solution_checks(lit)])
+    return Pass(lit, camera, key, as_number(0), strata, method, parts)
 
 
 @eqx.filter_jit

@@ -22,7 +22,7 @@ from jaxir.imaging._devices import is_traced, over_items, shared_by
 from jaxir.imaging._left_out import Asked
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
-from jaxir.transport import Method, graded_cameras, with_scattered
+from jaxir.transport import Method, graded_cameras, solution_checks, with_scattered
 
 
 class Signature(eqx.Module):
@@ -159,7 +159,7 @@ def prepare_views(
     aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, method)
     method = method.resolved(scene)
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away, method)
-    lit = enforce(lit, [*cameras.checks(), eye_outside(reach)])
+    lit = enforce(lit, [*cameras.checks(), eye_outside(reach), *solution_checks(lit)])
     return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method, aspect)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import equinox as eqx
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,7 @@ from jaxir._arrays import as_float
 from jaxir.geometry import Crossings, Grid, Rays, crossings
 from jaxir.medium._crossing_sum import crossing_sum
 from jaxir.medium._march import march, transmittance
-from jaxir.medium._medium import AbstractScatterer, Capsules, scattered_at
+from jaxir.medium._medium import AbstractScatterer, Capsules, less_forward, scattered_at
 from jaxir.optics import phi1
 from jaxir.optics.particle import AbstractPhase
 
@@ -70,10 +71,8 @@ class CellMedium(AbstractScatterer):
 
     def less(self, share: Float[Array, " node"]) -> CellMedium:
         """See `AbstractScatterer.less`."""
-        assert self.scattering_coefficient is not None
-        forward = self.scattering_coefficient * share.reshape((1,) * (self.extinction.ndim - 1) + (-1,))
-        parts = self.extinction - forward, self.scattering_coefficient - forward
-        return eqx.tree_at(lambda m: (m.extinction, m.scattering_coefficient), self, parts)
+        extinction, scattering = less_forward(self.extinction, self.scattering_coefficient, share)
+        return dataclasses.replace(self, extinction=extinction, scattering_coefficient=scattering)
 
     def scattering_at(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
         """See `AbstractScatterer.scattering_at`."""

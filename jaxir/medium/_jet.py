@@ -6,12 +6,12 @@ at the knots between them. Rays are cut in panels by `_jet_shape` and crossed by
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +24,7 @@ from jaxir.geometry import Rays
 from jaxir.medium._active import for_active
 from jaxir.medium._jet_layers import BETWEEN, COMPUTED, KNOTS, across_panels, between_knots
 from jaxir.medium._jet_shape import Chord, JetShape, chords, gauss_points, panel_edges
-from jaxir.medium._medium import AbstractScatterer, Capsules, MediumOptics, scattered_at
+from jaxir.medium._medium import AbstractScatterer, Capsules, MediumOptics, less_forward, scattered_at
 from jaxir.optics import phi1
 from jaxir.optics.particle import AbstractPhase
 
@@ -91,10 +91,8 @@ class JetMedium(AbstractScatterer):
 
     def less(self, share: Float[Array, " node"]) -> JetMedium:
         """See `AbstractScatterer.less`."""
-        assert self.scattering_coefficient is not None
-        forward = self.scattering_coefficient * share.reshape((1,) * (self.extinction.ndim - 1) + (-1,))
-        parts = self.extinction - forward, self.scattering_coefficient - forward
-        return eqx.tree_at(lambda m: (m.extinction, m.scattering_coefficient), self, parts)
+        extinction, scattering = less_forward(self.extinction, self.scattering_coefficient, share)
+        return dataclasses.replace(self, extinction=extinction, scattering_coefficient=scattering)
 
     def scattering_at(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
         """See `AbstractScatterer.scattering_at`. Differentiable in the jet and the points."""

@@ -181,6 +181,17 @@ def medium_optics(
     return MediumOptics(absorption + extinction, emission, albedo * extinction, optics.phase)
 
 
+def less_forward(
+    extinction: Float[Array, "*state node"],
+    scattering_coefficient: Float[Array, "*state node"] | None,
+    share: Float[Array, " node"],
+) -> tuple[Array, Array]:
+    """Both coefficients where a share [node] of what is scattered is taken as not scattered at all."""
+    assert scattering_coefficient is not None
+    forward = scattering_coefficient * share.reshape((1,) * (extinction.ndim - 1) + (-1,))
+    return extinction - forward, scattering_coefficient - forward
+
+
 def scattered_at(
     scattering: Float[Array, "ray node"], phase: AbstractPhase, cosine: Float[Array, " ray"]
 ) -> Float[Array, "ray node"]:

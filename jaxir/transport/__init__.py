@@ -30,3 +30,4 @@ from jaxir.transport._paths import Vertex as Vertex
 from jaxir.transport._trace import store_route as store_route
 from jaxir.transport._trace import trace as trace
 from jaxir.transport.ordinates import error_of_bands as error_of_bands
+from jaxir.transport.ordinates import solution_checks as solution_checks

@@ -177,9 +177,13 @@ def test_solving_once_serves_all_paths():
 def test_what_it_is_not_for_is_refused():
     plume = box(1.0, 0.9, jaxir.Isotropic())
     disc = jaxir.DiscSource((0.0, 0.0, 5.0), (0.0, 0.0, -1.0), 1.0, 10.0)
-    camera = jaxir.orthographic_camera(0, 0, 0.3, (8, 8))
+    camera = jaxir.orthographic_camera(0, 0, 0.3, (8, 8))  # of a cube as before, so that its programs serve
     with pytest.raises(ValueError, match="DiscreteOrdinates: got a DiscSource, expected sources without extent"):
         jaxir.render(jaxir.Scene(None, plume, disc), camera, [jaxir.MWIR], method=COARSE)
+    for extinction, asymmetry, field in ((1e4, 0.0, "optical depth between points"), (1.0, -0.9, "moment of a lobe")):
+        unfit = jaxir.Scene(None, box(extinction, 0.9, jaxir.HenyeyGreenstein(asymmetry)))
+        with pytest.raises(ValueError, match=f"DiscreteOrdinates: {field}.*: got .*, expected <="):
+            jaxir.render(unfit, camera, [jaxir.MWIR], method=COARSE)
     huge = Method(scattering=DiscreteOrdinates(400, 400))
     with pytest.raises(ValueError, match="DiscreteOrdinates: got .* numbers to keep, expected at most"):
         jaxir.render(jaxir.Scene(None, plume), camera, [jaxir.MWIR], method=huge)

@@ -32,7 +32,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import Check, as_float, on_host
+from jaxir._math import safe_sqrt
 from jaxir.geometry import Rays, degrees, harmonics, sphere_rule
 from jaxir.geometry.search import any_hit, closest_hit
 from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, merged_cuts, radiance_between
@@ -46,6 +47,9 @@ MORE = 3  # polar angles of the rule than the highest degree; one rule for all t
 STEPS = 12  # points of a ray between the lattice's points, nearer to one another near its own
 MOST = 2**29  # numbers that transport may keep
 TOLERANCE = 1e-5  # of the residual
+SOLVED = 1e-2  # residual of a solution at most
+THICK = 4.0  # optical depth of scattering between neighbours of the lattice at most
+LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 ITERATIONS = 200
 
 
@@ -101,7 +105,9 @@ class Scattered(AbstractMedium):
         order: highest degree of harmonics.
         error: estimated share [node] that the lattice lacks of what is scattered: how far cubics between every second
             of its points are from the others, an eighth of it.
-        residual: what the solution lacks of the equation, as a share of its first term [node].
+        residual: what the solution lacks of the equation, as a share of its first term, at most.
+        step: largest optical depth of scattering between neighbours of the lattice.
+        backward: largest Legendre moment beyond the harmonics that is none of a forward lobe.
     """
 
     medium: AbstractMedium
@@ -109,6 +115,8 @@ class Scattered(AbstractMedium):
     order: int = eqx.field(static=True)
     error: Float[Array, " node"]
     residual: Float[Array, ""]
+    step: Float[Array, ""]
+    backward: Float[Array, ""]
 
     def radiance(
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
@@ -178,7 +186,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     assert lit.medium is not None
     order, nodes = ordinates.order, lit.nodes.count
     moments = [_moments(part, order, nodes) for part in lit.medium.parts_with_particles]
-    medium = lit.medium.less_forward([forward for forward, _ in moments])
+    medium = lit.medium.less_forward([forward for forward, *_ in moments])
     lit = eqx.tree_at(lambda lit: lit.medium, lit, medium)
     parts, lattices = medium.parts_with_particles, [lattice_of(p, ordinates) for p in medium.parts_with_particles]
     sizes = [math.prod(lattice.solved) for lattice in lattices]
@@ -191,7 +199,6 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
             "(along, across), a lower order or fewer spectral nodes"
         )
     lobes = harmonics(direction, order)
-
     by_direction = weight[:, None] * lobes
 
     def ahead(total: Array, own: tuple[Array, Array]) -> tuple[Array, list[tuple[Between, Array]]]:
@@ -207,7 +214,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
 
     def transported(table: Array) -> Array:
         """K of coefficients [point, harmonic, node]."""
-        sent = [part * chi[None] for part, (_, chi) in zip(split(table), moments, strict=True)]
+        sent = [part * chi[None] for part, (_, chi, _) in zip(split(table), moments, strict=True)]
 
         def one(total: Array, own: tuple) -> tuple[Array, None]:
             ways, lobe, share = own
@@ -239,18 +246,35 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     each = [table * scale for table in split(solution)]
     held = tuple(
         _Part(part, 1 - forward, refined(lattice, table * chi[None]), own, lattice.read)
-        for part, lattice, table, own, (forward, chi) in zip(parts, lattices, each, beams, moments, strict=True)
+        for part, lattice, table, own, (forward, chi, _) in zip(parts, lattices, each, beams, moments, strict=True)
     )
     error = jnp.max(jnp.stack([unresolved(*x) for x in zip(lattices, each, strict=True)]), axis=0)
-    return Scattered(medium, held, order, lax.stop_gradient(error), rest)
+    step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
+    backward = jnp.max(jnp.stack([beyond for *_, beyond in moments]))
+    return Scattered(medium, held, order, *lax.stop_gradient((error, rest, step, backward)))
 
 
-def _moments(medium: AbstractScatterer, order: int, nodes: int) -> tuple[Float[Array, " node"], Array]:
-    """The share that is scattered straight on [node], and the moments of the rest [harmonic, node]."""
+def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
+    """See `Scattered.step`."""
+    point = medium.from_cube(as_float(places(lattice.solved)))
+    scattering = medium.scattering_at(point).max(axis=1).reshape(lattice.solved)
+    point = point.reshape(*lattice.solved, 3)
+    found = []
+    for axis in range(3):
+        apart = safe_sqrt(jnp.sum(jnp.diff(point, axis=axis) ** 2, axis=-1))
+        last = scattering.shape[axis]
+        both = [lax.slice_in_dim(scattering, k, last - 1 + k, axis=axis) for k in (0, 1)]
+        found.append(jnp.max(apart * jnp.maximum(*both)))
+    return jnp.max(jnp.stack(found))
+
+
+def _moments(medium: AbstractScatterer, order: int, nodes: int) -> tuple[Float[Array, " node"], Array, Array]:
+    """The share that is scattered straight on [node], the moments of the rest [harmonic, node], what lies beyond []."""
     assert medium.lobe is not None
     chi = jnp.broadcast_to(medium.lobe.moments(order + 1), (order + 2, nodes))
-    forward = jnp.maximum(chi[-1], 0)  # a lobe backward is none forward
-    return forward, ((chi[:-1] - forward[None]) / (1 - forward)[None])[degrees(order)]
+    forward = jnp.maximum(jnp.minimum(chi[-2], chi[-1]), 0)  # moments of a lobe backward change their sign
+    rest = (chi - forward[None]) / (1 - forward)[None]
+    return forward, rest[degrees(order)], jnp.max(jnp.abs(rest[-1]))
 
 
 def _length(lit: Lit, rays: Rays) -> Float[Array, " ray"]:
@@ -297,6 +321,19 @@ def _of_beams(part: AbstractScatterer, lattice: Lattice, beams: tuple[_Beam, ...
     point, between = part.from_cube(place), about(lattice.read, place)
     each = [beam.arriving(between, point) for beam in beams]
     return functools.reduce(jnp.add, [harmonics(-omega, order)[:, :, None] * light[:, None] for light, omega in each])
+
+
+def solution_checks(lit: Lit) -> list[Check]:
+    """The light in the plumes was found, where it was solved for."""
+    if not isinstance(lit.medium, Scattered):
+        return []
+    _, step, backward, residual = on_host(lit.medium.step, lit.medium.backward, lit.medium.residual)
+    name, sample = "DiscreteOrdinates", "or sample what particles scatter"
+    return [
+        Check(f"{name}: optical depth between points", step, step <= THICK, f"<= {THICK}: more points, {sample}"),
+        Check(f"{name}: moment of a lobe backward", backward, backward <= LOBE, f"<= {LOBE}: more order, {sample}"),
+        Check(f"{name}: residual", residual, residual <= SOLVED, f"<= {SOLVED}, {sample}"),
+    ]
 
 
 def error_of_bands(lit: Lit) -> Float[Array, " band"] | None:
