@@ -44,7 +44,9 @@ def rays_through(count, towards=(0.3, 0.9, -0.2), about=(0.0, 0.0, 0.0), width=1
 
 @eqx.filter_jit
 def look(scene, rays, method, key=None):
-    return jaxir.evaluate(scene.on(gray_nodes((jaxir.MWIR,))), jaxir.trace(scene, rays, method, key))
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), method)
+    assert with_scattered(lit, method) is lit  # solving once serves all paths
+    return jaxir.evaluate(lit, jaxir.trace(scene, rays, method, key))
 
 
 @pytest.mark.parametrize("order", [1, 4])
@@ -91,21 +93,14 @@ def test_furnace(x64, asymmetry):
 
 
 def test_agrees_with_forced_collision():
-    """A jet with a forward lobe, hot or lit by the sun: the mean over rays within errors and 2 % of the lattice's."""
-    for scene in (
-        jaxir.Scene(None, jet()),
-        jaxir.Scene(None, jet(300.0), jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0)),
-    ):
-        rays = rays_through(4000, about=(-3.0, 0.0, 0.0), width=4.0)
-        sampled = np.asarray(
-            [look(scene, rays, Method(orders=12), jax.random.key(k)).mean() for k in range(8)], np.float64
-        )
-        solved = float(look(scene, rays, Method(scattering=DiscreteOrdinates(17, 7))).mean())
-        error = sampled.std(ddof=1) / np.sqrt(len(sampled))
-        assert error < 0.01 * solved
-        assert abs(solved - sampled.mean()) < 3 * error + 0.02 * solved
-        without = float(look(scene, rays, Method(orders=0)).mean())
-        assert without < 0.8 * solved  # what is tested is there
+    """A warm jet with a forward lobe in the sun: the mean over rays within errors and 2 % of the lattice's."""
+    scene = jaxir.Scene(None, jet(450.0), jaxir.ParallelSource((0.0, 0.0, -1.0), 30.0))
+    rays = rays_through(4000, about=(-3.0, 0.0, 0.0), width=4.0)
+    sampled = np.asarray([look(scene, rays, Method(orders=12), jax.random.key(k)).mean() for k in range(8)], np.float64)
+    solved = float(look(scene, rays, Method(scattering=DiscreteOrdinates(17, 7))).mean())
+    error = sampled.std(ddof=1) / np.sqrt(len(sampled))
+    assert error < 0.01 * solved
+    assert abs(solved - sampled.mean()) < 3 * error + 0.02 * solved
 
 
 def test_derivatives_are_those_of_the_solution(x64):
@@ -118,8 +113,8 @@ def test_derivatives_are_those_of_the_solution(x64):
         return look(jaxir.Scene(None, plume), rays, COARSE).mean()
 
     at = jnp.array([600.0, 1.5, 0.8])
-    reverse, forward = np.asarray(jax.grad(mean)(at)), np.asarray(jax.jacfwd(mean)(at))
-    np.testing.assert_allclose(forward, reverse, rtol=1e-5)
+    reverse, along = np.asarray(jax.grad(mean)(at)), jnp.array([1.0, 0.1, -0.2])
+    np.testing.assert_allclose(jax.jvp(mean, (at,), (along,))[1], reverse @ along, rtol=1e-5)
     for i, step in enumerate((0.1, 1e-3, 1e-3)):
         apart = jnp.zeros(3).at[i].set(step)
         np.testing.assert_allclose(reverse[i], (mean(at + apart) - mean(at - apart)) / (2 * step), rtol=1e-4)
@@ -136,14 +131,16 @@ def test_plumes_apart_do_not_disturb_one_another():
 
 
 def test_skin_shades_the_plume():
-    """A plate between sun and plume: what is left is what the plume emits and what reaches it from the plate."""
-    plate = jaxir.Mesh([[-9.0, -9, 3], [9, -9, 3], [9, 9, 3], [-9, 9, 3]], [[0, 1, 2], [0, 2, 3]])
-    cold = jaxir.Skin(plate, 50.0, jaxir.Lambert(1.0))
+    """A cold plate between sun and plume or behind the plume: only in the first place it takes the light away."""
     sun = jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0)
     rays = rays_through(50, (1.0, 0.2, 0.0))
-    plume = box(1.0, 0.9, jaxir.Isotropic(), 50.0)
-    lit, shaded = (look(jaxir.Scene(skin, plume, sun), rays, COARSE) for skin in (None, cold))
-    assert float(shaded.mean()) < 1e-3 * float(lit.mean())
+
+    def mean(height):
+        corner = [[-9.0, -9, height], [9, -9, height], [9, 9, height], [-9, 9, height]]
+        skin = jaxir.Skin(jaxir.Mesh(corner, [[0, 1, 2], [0, 2, 3]]), 50.0, jaxir.Lambert(1.0))
+        return float(look(jaxir.Scene(skin, box(1.0, 0.9, jaxir.Isotropic(), 50.0), sun), rays, COARSE).mean())
+
+    assert mean(3.0) < 1e-3 * mean(-3.0)
 
 
 def test_images_have_no_noise_of_it_and_tell_what_is_left():
@@ -157,21 +154,6 @@ def test_images_have_no_noise_of_it_and_tell_what_is_left():
     assert 0 < float(images[0].truncation[0]) < 0.05
     budget = images[0].error_budget()
     np.testing.assert_allclose(budget.truncation, images[0].truncation * images[0].radiant_intensity(), rtol=1e-6)
-
-
-def test_solving_once_serves_all_paths():
-    scene = jaxir.Scene(None, box(1.0, 0.9, jaxir.Isotropic()))
-    rays = rays_through(20)
-
-    @eqx.filter_jit
-    def once(scene):
-        lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), COARSE)
-        assert with_scattered(lit, COARSE) is lit
-        return lit.medium.residual, jaxir.evaluate(lit, jaxir.trace(scene, rays, COARSE))
-
-    residual, got = once(scene)
-    assert float(residual) < 1e-4
-    np.testing.assert_allclose(got, look(scene, rays, COARSE), rtol=1e-5)
 
 
 def test_what_it_is_not_for_is_refused():
