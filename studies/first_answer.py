@@ -103,7 +103,6 @@ def main(run: Run) -> str:
     axis.invert_yaxis()
     axis.set(xlabel="wall time from the start of the interpreter [s]")
     axis.legend()
-    figure.tight_layout()
     run.chart(figure)
     image, both = rows[0], rows[1]
     return (
