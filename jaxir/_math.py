@@ -7,6 +7,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 
@@ -25,6 +26,16 @@ def gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights [point] of Gauss-Legendre quadrature on [0, 1], on the host in double precision."""
     node, weight = np.polynomial.legendre.leggauss(points)
     return (node + 1) / 2, weight / 2
+
+
+def sum_before(layers: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
+    """Sum of the layers in front of each along an axis.
+
+    Not the sum up to it less its own, which an opaque layer would swallow.
+    """
+    sums = jnp.cumsum(layers, axis=axis)
+    first = jnp.zeros_like(lax.slice_in_dim(sums, 0, 1, axis=axis))
+    return jnp.concatenate([first, lax.slice_in_dim(sums, 0, -1, axis=axis)], axis=axis)
 
 
 def dot(a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]) -> Float[Array, "*batch"]:

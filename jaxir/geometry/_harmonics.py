@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxir._math import gauss_legendre
+
 
 def harmonics(direction: Float[Array, "*batch 3"], order: int) -> Float[Array, "*batch harmonic"]:
     """Real spherical harmonics Y_lm of unit vectors, orthonormal over the sphere, for l = 0 .. `order`.
@@ -46,9 +48,10 @@ def sphere_rule(polar: int) -> tuple[np.ndarray, np.ndarray]:
     Gauss-Legendre in the cosine of the polar angle, `polar` of them, times 2 `polar` azimuths in equal steps: exact
     for harmonics up to the degree 2 `polar` - 1.
     """
-    cosine, weight = np.polynomial.legendre.leggauss(polar)
+    share, weight = gauss_legendre(polar)
+    cosine = 2 * share - 1
     azimuth = (np.arange(2 * polar) + 0.5) * np.pi / polar
     sine = np.sqrt(1 - cosine**2)
     z = np.broadcast_to(cosine[:, None], (polar, 2 * polar))
     direction = np.stack([sine[:, None] * np.cos(azimuth), sine[:, None] * np.sin(azimuth), z], axis=-1)
-    return direction.reshape(-1, 3), np.repeat(weight * np.pi / polar, 2 * polar)
+    return direction.reshape(-1, 3), np.repeat(2 * weight * np.pi / polar, 2 * polar)

@@ -18,6 +18,7 @@ PARTS = {
     "bounces": "bounces from skin beyond the last",
     "outside": "of the scene beyond the frame",
 }
+ABOUT = {**PARTS, "total": "in 19 of 20 cases: twice sampling, with the others, root of squares"}
 ROUGH = 1.25  # times what is outside: brightness without rays errs by so much
 COVERAGE = 2  # standard errors of sampling that the total counts
 
@@ -32,8 +33,7 @@ class ErrorBudget(eqx.Module):
         sampling: standard error of the rays [*view, band].
         spectral: what the nodes err, from a comparison with finer ones on a few rays (`jaxir.scene.scene_nodes`)
             [*view, band]; None where that is not known.
-        truncation: what orders of scattering beyond the last would add, from the fall of the last two [*view, band];
-            0 without particles.
+        truncation: what is left out of what particles scatter, see `Image.truncation` [*view, band].
         bounces: what bounces from skin beyond the last would add, from few paths followed further [*view, band]; None
             where that is not known: not looked for, inside jit, and with `Method.ambient`.
         outside: what of the scene lies beyond the frame, from where it is bright before any ray is traced
@@ -87,10 +87,8 @@ class ErrorBudget(eqx.Module):
             numbers = ["not known"] * len(self.bands)
             if values is not None:
                 numbers = [f"{sign}{x:.{digits}g}" for x in np.asarray(values).tolist()]
-            about = {**PARTS, "total": "in 19 of 20 cases: twice sampling, with the others, root of squares"}.get(
-                name, ""
-            )
-            lines.append(f"{name:12s}{''.join(f'{number:>{width}s}' for number in numbers)}  {about}".rstrip())
+            row = "".join(f"{number:>{width}s}" for number in numbers)
+            lines.append(f"{name:12s}{row}  {ABOUT.get(name, '')}".rstrip())
         return "\n".join(lines)
 
     def described(self) -> str:

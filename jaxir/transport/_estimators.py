@@ -27,6 +27,7 @@ from jax import lax
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import require_shape
+from jaxir._math import sum_before
 from jaxir.geometry import LIST_CHUNK, Crossings, Rays, crossings
 from jaxir.medium import CellMedium, crossing_sum
 from jaxir.optics import SERIES_BELOW, across_layer, phi1, phi2
@@ -225,7 +226,7 @@ def _sampled(lists, extinction, emission, behind, u, contribution):
     x = -jnp.log1p(-u)[None, :, None]
     held = lax.stop_gradient(mu)
     own, own_held = mu * length, held * length
-    before = _sum_before(own)
+    before = sum_before(own, 0)
     start = lax.stop_gradient(before)
     come = jnp.clip(x - start, 0, own_held)
     absorbed = (x >= start) & (x - start < own_held)
@@ -237,17 +238,11 @@ def _sampled(lists, extinction, emission, behind, u, contribution):
     return jnp.sum(contribution(sample), axis=0) + jnp.where(through, jnp.exp(total - depth) * behind, 0)
 
 
-def _sum_before(layers: Float[Array, "layer ray node"]) -> Float[Array, "layer ray node"]:
-    """Sum of the layers in front of each; not the sum up to it less its own, which an opaque layer would swallow."""
-    sums = jnp.cumsum(layers, axis=0)
-    return jnp.concatenate([jnp.zeros_like(sums[:1]), sums[:-1]])
-
-
 def _variance(lists, extinction, emission, behind, own):
     """Far to near: V <- exp(-u) V + own(layer), a sum of positive terms, so nothing cancels."""
     mu, j, length = _on_ray(lists, extinction, emission)
     u = mu * length
-    before = _sum_before(u)
+    before = sum_before(u, 0)
 
     def step(carry, cell):
         radiance, variance = carry

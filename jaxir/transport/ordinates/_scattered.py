@@ -33,7 +33,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, on_host
-from jaxir._math import safe_sqrt
+from jaxir._math import safe_sqrt, sum_before
 from jaxir.geometry import Rays, degrees, harmonics, sphere_rule
 from jaxir.geometry.search import any_hit, closest_hit
 from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, merged_cuts, radiance_between
@@ -294,8 +294,7 @@ def _ahead(
     step, middle = jnp.diff(edge, axis=1), (edge[:, 1:] + edge[:, :-1]) / 2
     at = (rays.origin[:, None] + middle[..., None] * rays.direction[:, None]).reshape(-1, 3)
     layer = medium.coefficients(at)[0].reshape(*step.shape, -1) * step[..., None]
-    before = jnp.cumsum(layer, axis=1) - layer
-    sent = jnp.exp(-before) * phi1(layer) * step[..., None]
+    sent = jnp.exp(-sum_before(layer, 1)) * phi1(layer) * step[..., None]
     return [
         (about(lattice.read, part.to_cube(at)), sent * part.scattering_at(at).reshape(sent.shape))
         for part, lattice in parts
