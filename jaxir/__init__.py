@@ -6,7 +6,7 @@ and how. Fits are in `jaxir.fit`, files in `jaxir.io`.
 
 # isort: off
 from jaxir._cache import compilation_cache as compilation_cache
-from jaxir._process import native_loops as native_loops
+from jaxir._process import compiler_options as compiler_options
 
 # A scene
 from jaxir.scene import Lit as Lit

@@ -310,7 +310,7 @@ def main(run: Run) -> str:
     )
     return (
         f"{size} faces [Mrays/s]: {said}; two cores {one / two:.2g} x one; "
-        f"{count:.0f} faces and {rays:.0f} rays add {added / 1e9:.2f} GB; {jaxir.native_loops()}"
+        f"{count:.0f} faces and {rays:.0f} rays add {added / 1e9:.2f} GB; {jaxir.compiler_options()}"
     )
 
 

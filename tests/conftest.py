@@ -3,6 +3,7 @@
 Programs are kept beside pytest's own cache: files share many, workers do, and so do the next tests run.
 """
 
+import gc
 import os
 from pathlib import Path
 
@@ -16,6 +17,8 @@ import tests.checked  # noqa: F401, the hook looks it up by name
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+gc.set_threshold(100_000, 50, 100)  # tracing makes many objects that live: looking through them takes a tenth of a test
 
 install_import_hook("jaxir", "tests.checked.checked")  # for the whole run: modules imported later are checked too
 

@@ -406,7 +406,7 @@ class Structure:
             aims[: RAYS - 2] = np.einsum("rc,rcx->rx", share[: RAYS - 2], corner[3 * face[:, None] + np.arange(3)])
         toward = np.array([d.direction() for _ in range(RAYS)])
         far = d.log(2.0 if self.whole else 0.01, 100.0, (RAYS, 1)) * d.size  # inside a box other skin is seen by skin
-        camera = {"azimuth": d.even(-180, 180), "elevation": d.even(-90, 90), "distance": d.log(5, 1e5) * d.size}
+        camera = {"azimuth": d.even(-180, 180), "elevation": d.even(-90, 90), "distance": d.log(100, 1e5) * d.size}
         return {"origin": aims - far * toward, "direction": toward, "size": d.size, **camera}
 
     def scene(self, fixed: dict, values: dict) -> jaxir.Scene:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir._process import OPT_OUT, OPTION
+from jaxir._process import OPT_OUT, OPTIONS
 from jaxir.geometry import Bundle, Rays
 from jaxir.geometry.search import Mesh, any_hit, closest_hit
 
@@ -21,7 +21,7 @@ import jaxir
 from test_process import scene
 from jaxir.geometry.search import closest_hit
 mesh, rays, bundle = scene()
-print(jaxir.native_loops())
+print(jaxir.compiler_options())
 print(closest_hit(mesh, rays).face.tolist())
 print(closest_hit(mesh, bundle).face.tolist())
 """
@@ -46,32 +46,39 @@ def run(code, **variables):
     return done.stdout.strip().splitlines()
 
 
-def test_results_are_the_same_without_native_loops():
+def test_results_are_the_same_without_compiler_options():
     mesh, rays, bundle = scene()
     line, single, tiles = run(PRINT_FACES, **{OPT_OUT: "0"})
-    assert line == f"native loops: off, because {OPT_OUT} says so"
+    assert line == f"compiler options: none set, because {OPT_OUT} says so"
     assert single == str(closest_hit(mesh, rays).face.tolist())
     assert tiles == str(closest_hit(mesh, bundle).face.tolist())
 
 
 def test_import_sets_the_option_and_keeps_other_flags():
-    code = "import os, jaxir, jax; jax.devices(); print(jaxir.native_loops()); print(os.environ['XLA_FLAGS'])"
+    code = "import os, jaxir, jax; jax.devices(); print(jaxir.compiler_options()); print(os.environ['XLA_FLAGS'])"
     line, flags = run(code, XLA_FLAGS="--xla_force_host_platform_device_count=2")
-    assert line.startswith("native loops: on")
-    assert flags.startswith("--xla_force_host_platform_device_count=2 ") and OPTION in flags
+    assert "set by jaxir" in line
+    assert flags.startswith("--xla_force_host_platform_device_count=2 ") and all(name in flags for name in OPTIONS)
 
 
 def test_a_running_backend_and_a_named_option_are_left_alone():
-    code = "import os, jax; jax.devices(); import jaxir; print(jaxir.native_loops()); print('XLA_FLAGS' in os.environ)"
+    code = (
+        "import os, jax; jax.devices(); import jaxir; print(jaxir.compiler_options()); print('XLA_FLAGS' in os.environ)"
+    )
     line, changed = run(code)
     assert "a JAX backend was running" in line and changed == "False"
-    given = f"--xla_backend_extra_options={OPTION}=1024"
-    line, flags = run("import os, jaxir; print(jaxir.native_loops()); print(os.environ['XLA_FLAGS'])", XLA_FLAGS=given)
-    assert "names the option itself" in line and flags == given
+    code = "import os, jaxir, jax; jax.devices(); print(jaxir.compiler_options()); print(os.environ['XLA_FLAGS'])"
+    loops, emitters = OPTIONS
+    given = f"--xla_backend_extra_options={loops}=1024"
+    line, flags = run(code, XLA_FLAGS=given)
+    assert loops not in line and flags == f"{given} --xla_backend_extra_options={emitters}"
+    given = f"--xla_backend_extra_options={loops}=1024,{emitters}=true"
+    line, flags = run(code, XLA_FLAGS=given)
+    assert "names them itself" in line and flags == given
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="native loops are a matter of the CPU compiler")
-@pytest.mark.skipif(not jaxir.native_loops().startswith("native loops: on"), reason="another owner of the process")
+@pytest.mark.skipif("set by jaxir" not in jaxir.compiler_options(), reason="another owner of the process")
 @pytest.mark.parametrize("search", [closest_hit, any_hit])
 def test_the_compiled_search_holds_native_loops(search):
     mesh, rays, bundle = scene()
