@@ -291,10 +291,11 @@ def over_nodes(of: P, nodes: Any) -> P:
     Raises:
         ValueError: a field has neither one value nor one for each node.
     """
-    fields = [name for name, declared in _declared(of) if declared.shape and declared.shape[-1] == "node"]
-    values = []
-    for name in fields:
+    changed: dict[str, Any] = {}
+    for name, declared in _declared(of):
         value = getattr(of, name)
+        if value is None or not declared.shape or declared.shape[-1] != "node":
+            continue
         if isinstance(value, AbstractSpectrum):
             value = value.on(nodes)
         if value.shape[-1] not in (1, nodes.count):
@@ -302,8 +303,8 @@ def over_nodes(of: P, nodes: Any) -> P:
                 f"{type(of).__name__}.{name}: got {value.shape[-1]} spectral values, expected 1 or {nodes.count}, one "
                 f"for each node of the bands {nodes.names}"
             )
-        values.append(jnp.broadcast_to(value, (*value.shape[:-1], nodes.count)))
-    return _replaced(of, dict(zip(fields, values, strict=True)))
+        changed[name] = jnp.broadcast_to(value, (*value.shape[:-1], nodes.count))
+    return _replaced(of, changed)
 
 
 def _declared(of: Physical) -> Iterator[tuple[str, _Quantity]]:

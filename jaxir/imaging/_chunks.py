@@ -127,7 +127,8 @@ def first_pass(
 ) -> Pass:
     """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
     strata, nodes = pixel_strata(samples), scene_nodes(scene, bands)
-    nodes = enforce(nodes, [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene)])
+    checks = [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene), *method.node_checks(nodes)]
+    nodes = enforce(nodes, checks)
     method = method.resolved(scene)
     lit, reach = _prepared(scene, nodes, camera, method)
     lit = enforce(lit, [eye_outside(reach), *solution_checks(lit)])

@@ -188,7 +188,7 @@ def _checked(
     aspect, nodes = as_float(views, "views"), as_nodes(bands)  # range checks need no more
     if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
-    checks = [*scene.checks_on(nodes), *view_checks(aspect), *method.checks_for(scene)]
+    checks = [*scene.checks_on(nodes), *view_checks(aspect), *method.checks_for(scene), *method.node_checks(nodes)]
     return aspect, enforce(nodes, checks), as_float(distance, "distance")
 
 

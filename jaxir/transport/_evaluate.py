@@ -22,6 +22,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from jaxir._fields import by_band, over_nodes
 from jaxir._math import dot
 from jaxir.geometry import Rays
 from jaxir.geometry.search import face_normal
@@ -152,7 +153,7 @@ def behind_plumes(lit: Lit, method: Method, segment: Segment, first: Array | boo
     if segment.vertex is not None:
         skin = outgoing_radiance(lit, method, segment.vertex)
         if method.ambient is not None:
-            skin = skin + jnp.where(last, _of_ambient(lit, method.ambient, segment.vertex), 0)
+            skin = skin + jnp.where(last, _of_ambient(lit, method, segment.vertex), 0)
         behind = jnp.where((segment.vertex.face >= 0)[:, None], skin, behind)
     return behind
 
@@ -308,9 +309,11 @@ def _closed_form(lit: Lit, vertex: Vertex) -> Array:
     return _reflectance(lit, vertex) * arriving
 
 
-def _of_ambient(lit: Lit, ambient: Array, vertex: Vertex) -> Array:
+def _of_ambient(lit: Lit, method: Method, vertex: Vertex) -> Array:
     """Reflection of the same radiance from everywhere [ray, node]."""
-    return _reflectance(lit, vertex) * jnp.broadcast_to(ambient, (lit.nodes.count,))[None]
+    ambient = over_nodes(by_band(method, lit.nodes), lit.nodes).ambient
+    assert ambient is not None
+    return _reflectance(lit, vertex) * ambient[None]
 
 
 def _reflectance(lit: Lit, vertex: Vertex) -> Array:

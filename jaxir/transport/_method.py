@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check
-from jaxir._fields import Physical, count, quantity, spectral
+from jaxir._fields import Physical, SpectralLight, count, light, quantity
 from jaxir.geometry import AbstractSampler, Independent
 from jaxir.geometry.search import Mesh, face_normal
 from jaxir.scene import Scene
@@ -128,7 +128,8 @@ class Method(Physical):
             7 % of it at 4; `Image.truncation` estimates it.
         sampler: how even the random points of one decision are.
         ambient: radiance from everywhere that stands for light reflected more often than `bounces` [node or 1]
-            [W m-2 sr-1]: the last point of a path reflects reflectance(theta_o) * ambient more. None for nothing.
+            [W m-2 sr-1] or a spectrum: the last point of a path reflects reflectance(theta_o) * ambient more. None for
+            nothing.
         skin_light: how the skin's own emission is looked for by `direct`, like the lights: then it counts as a light,
             also with 0 bounces, and `ambient` stands for what skin reflects, no longer for what it emits. None: it is
             met where paths lead.
@@ -141,7 +142,7 @@ class Method(Physical):
     bounces: int = count(0, default=0)
     orders: int = count(0, default=10)
     sampler: AbstractSampler = Independent()
-    ambient: Float[Array, " node"] | None = spectral("W m-2 sr-1", default=None)
+    ambient: SpectralLight | None = light("W m-2 sr-1", default=None)
     skin_light: SkinLight | None = None
     plume_light: PlumeLight | None = None
     scattering: DiscreteOrdinates | None = None
@@ -158,10 +159,10 @@ class Method(Physical):
             if not isinstance(getattr(self, field), kinds):
                 names = ", ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
                 raise ValueError(f"Method.{field}: got {getattr(self, field)!r}, expected one of {names}")
-        for field, light in (("skin_light", self.skin_light), ("plume_light", self.plume_light)):
-            if light is not None and not isinstance(self.direct, DirectSampling):
+        for field, own in (("skin_light", self.skin_light), ("plume_light", self.plume_light)):
+            if own is not None and not isinstance(self.direct, DirectSampling):
                 raise ValueError(
-                    f"Method.{field}: got {type(light).__name__} with direct = {type(self.direct).__name__}, expected "
+                    f"Method.{field}: got {type(own).__name__} with direct = {type(self.direct).__name__}, expected "
                     "DirectSampling"
                 )
 
@@ -235,11 +236,11 @@ def _closed_form_checks(scene: Scene) -> list[Check]:
     normal, corner = face_normal(mesh, jnp.arange(mesh.count, dtype=jnp.int32)), mesh.corners()[:, 0]
     convex = "0: skin closed and convex, or flat"
     checks = [Check("ClosedForm: rise of vertices over a face [m]", rise, rise <= grain, convex)]
-    for light in scene.extended_lights:
-        own = light.form_factor_checks(corner, normal)
+    for shining in scene.extended_lights:
+        own = shining.form_factor_checks(corner, normal)
         if own is None:
             raise ValueError(
-                f"ClosedForm: got {type(light).__name__}, expected DiscSources, PolygonSources and a uniform "
+                f"ClosedForm: got {type(shining).__name__}, expected DiscSources, PolygonSources and a uniform "
                 "background; sample it"
             )
         checks += own

@@ -250,6 +250,21 @@ def test_a_sky_of_spectra(precision):
     np.testing.assert_allclose(up, black[2], rtol=1e-5)
 
 
+@pytest.mark.parametrize("given", [5.0, [5.0, 2.0], jaxir.BlackbodySpectrum(400.0)], ids=["number", "bands", "Planck"])
+def test_light_that_stands_in_is_light_in_a_band_too(given):
+    """Ambient light and the radiance of a path: of the band, in however many bins it is resolved."""
+    plate = jaxir.Skin(
+        jaxir.Mesh([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], [[0, 1, 2], [0, 2, 3]]), 1.0, jaxir.Lambert(0.75)
+    )
+    scene = jaxir.Scene(plate, atmosphere=jaxir.FixedPath(0.5, given))
+    camera, bands = jaxir.orthographic_camera(0, 0, 0.05, (1, 1)), [Band("a", 3.0, 5.0), Band("b", 8.0, 12.0)]
+    black = np.asarray(jaxir.band_radiance(jnp.asarray(400.0), gray_nodes(bands)))
+    light = black if isinstance(given, jaxir.BlackbodySpectrum) else np.broadcast_to(np.asarray(given), 2)
+    for nodes in (gray_nodes(bands), resolved_nodes(bands, 400.0, 1, 0)):
+        image = jaxir.render(scene, camera, nodes, samples=2, method=jaxir.Method(ambient=given))
+        np.testing.assert_allclose(image.radiance[0, 0], light * (1 + 0.25 * 0.5), rtol=1e-5)
+
+
 def test_bad_spectra_are_refused():
     short = jaxir.UniformBackground(jaxir.TabulatedSpectrum([3.0, 4.0], [1.0, 1.0]))
     with pytest.raises(

@@ -83,5 +83,6 @@ def test_no_random_key_is_used_twice():
     scene = jaxir.Scene(plate(0.5), jaxir.GridPlume(grid, 400.0, jaxir.GrayGas(0.1), particles), disc)
     method = jaxir.Method(bounces=1, orders=2, skin_light=jaxir.SkinLight(), plume_light=jaxir.PlumeLight())
     with jax.debug_key_reuse(True):
-        traced = eqx.filter_jit(lambda key: jaxir.trace(scene, rays_down(2, 1.5), method, key))(jax.random.key(3))
+        once = eqx.filter_jit(lambda key: jaxir.trace(scene, rays_down(2, 1.5), method, key))
+        traced = eqx.filter_eval_shape(once, jax.random.key(3))  # checked while traced: nothing need be compiled
     assert traced.segments.length.shape == (3, 4)
