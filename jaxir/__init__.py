@@ -15,6 +15,15 @@ from jaxir.scene import Skin as Skin
 from jaxir.geometry import Grid as Grid
 from jaxir.geometry.search import Mesh as Mesh
 
+# Its parts: faces by place, direction, connection and name
+from jaxir.geometry.selection import AbovePlane as AbovePlane
+from jaxir.geometry.selection import Connected as Connected
+from jaxir.geometry.selection import Facing as Facing
+from jaxir.geometry.selection import InBox as InBox
+from jaxir.geometry.selection import InCylinder as InCylinder
+from jaxir.geometry.selection import OfMaterial as OfMaterial
+from jaxir.geometry.selection import OfPart as OfPart
+
 # Its surfaces
 from jaxir.optics.surface import BrdfPerFace as BrdfPerFace
 from jaxir.optics.surface import BrdfTable as BrdfTable

@@ -14,7 +14,8 @@ from jaxir._arrays import Check, as_float, broadcast, positive
 from jaxir._fields import require_part
 from jaxir._plausible import KELVIN
 from jaxir.geometry.search import Mesh
-from jaxir.optics.surface import AbstractBrdf
+from jaxir.geometry.selection import AbstractSelection, LabelledFaces, new_part, selected_faces
+from jaxir.optics.surface import AbstractBrdf, painted_brdf
 
 
 class Skin(eqx.Module):
@@ -82,6 +83,46 @@ class Skin(eqx.Module):
             )
         self.part = jax.device_put(index.astype(np.int32))
         self.part_names = tuple(part_names)
+
+    def select(self, selection: AbstractSelection) -> np.ndarray:
+        """Indices of the faces that a selection holds, see `jaxir.geometry.selection`.
+
+        Raises:
+            ValueError: it holds no face or all of them, or refers to what is not there; a skin has no materials.
+        """
+        corners, none = np.asarray(self.mesh.corners(), np.float64), np.zeros(0, np.int32)
+        return selected_faces(selection, LabelledFaces(corners, np.asarray(self.part), self.part_names, none, ()))
+
+    def with_part(
+        self, name: str, selection: AbstractSelection, temperature: Any = None, brdf: AbstractBrdf | None = None
+    ) -> Skin:
+        """The same skin with the faces that a selection holds as a new part, hotter or painted otherwise.
+
+        Args:
+            name: of the new part, by which fits and results know it.
+            selection: of the faces.
+            temperature: of the part, one value or one per face of it in the mesh's order [K]; None keeps what is there.
+            brdf: of the part, with parameters of one face; None keeps what is there.
+
+        Raises:
+            ValueError: as `select`; a name that is taken; temperatures or a brdf of other shapes.
+
+        Differentiable in `temperature` and in `brdf`.
+        """
+        faces = self.select(selection)
+        held, paint = self.temperature, self.brdf
+        if temperature is not None:
+            value = as_float(temperature, "Skin.temperature")
+            if value.shape not in ((), (faces.size,)):
+                raise ValueError(
+                    f"Skin.temperature: got shape {value.shape}, expected one value or ({faces.size},), one per face "
+                    f"of {name!r}"
+                )
+            held = held.at[faces].set(value)
+        if brdf is not None:
+            require_part("Skin.brdf", brdf, "a brdf, e.g. jaxir.Lambert({})")
+            paint = painted_brdf(paint, brdf, faces, self.mesh.count)
+        return Skin(self.mesh, held, paint, **new_part(name, faces, np.asarray(self.part), self.part_names))
 
     def checks(self) -> list[Check]:
         """Temperatures are positive, vertices finite, the brdf's parameters in range."""

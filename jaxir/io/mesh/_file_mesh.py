@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+NO_MATERIAL = np.zeros(0, np.int32)
+
 
 class FileMesh(NamedTuple):
     """What a mesh file holds.
@@ -17,12 +19,16 @@ class FileMesh(NamedTuple):
         faces: triangles [face, 3]; a polygon is cut into a fan from its first corner.
         part: index of each face's name [face].
         part_names: the names, in the order in which faces take them.
+        material: index of each face's material [face]; empty where the file names none.
+        material_names: the names of the materials.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     part: np.ndarray
     part_names: tuple[str, ...]
+    material: np.ndarray = NO_MATERIAL
+    material_names: tuple[str, ...] = ()
 
 
 def one_part(file: Path, vertices: np.ndarray, faces: np.ndarray) -> FileMesh:

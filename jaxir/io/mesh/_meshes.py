@@ -14,9 +14,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from jaxir.geometry.search import Mesh
+from jaxir.geometry.selection import AbstractSelection, LabelledFaces, new_part, selected_faces
 from jaxir.io._axes import Axes, metres
 from jaxir.io._files import require_file
-from jaxir.io.mesh._file_mesh import FileMesh, require_corners
+from jaxir.io.mesh._file_mesh import NO_MATERIAL, FileMesh, require_corners
 from jaxir.io.mesh._obj import read_obj
 from jaxir.io.mesh._off import read_off
 from jaxir.io.mesh._ply import read_ply
@@ -33,11 +34,32 @@ class Body(NamedTuple):
         mesh: all triangles, in the file's order (of objects, and of faces inside each).
         part: index of each face's part [face].
         part_names: names of the parts.
+        material: index of each face's material [face]; empty where the file names none.
+        material_names: names of the materials.
     """
 
     mesh: Mesh
     part: np.ndarray
     part_names: tuple[str, ...]
+    material: np.ndarray = NO_MATERIAL
+    material_names: tuple[str, ...] = ()
+
+    def select(self, selection: AbstractSelection) -> np.ndarray:
+        """Indices of the faces that a selection holds, see `jaxir.geometry.selection`.
+
+        Raises:
+            ValueError: it holds no face or all of them, or refers to what is not there.
+        """
+        corners = np.asarray(self.mesh.corners(), np.float64)
+        return selected_faces(selection, LabelledFaces(corners, *self[1:]))
+
+    def with_part(self, name: str, selection: AbstractSelection) -> Body:
+        """The same body with the faces that a selection holds as a new part.
+
+        Raises:
+            ValueError: as `select`, or a name that is taken.
+        """
+        return self._replace(**new_part(name, self.select(selection), self.part, self.part_names))
 
 
 def load_mesh(path: str | os.PathLike, *, unit: Any, axes: Axes | None = None) -> Body:
@@ -64,7 +86,8 @@ def load_mesh(path: str | os.PathLike, *, unit: Any, axes: Axes | None = None) -
     file = Path(path)
     length, placed = metres(unit), axes or Axes()
     require_file(file)
-    vertices, all_faces, part, names = _read(file)
+    held = _read(file)
+    vertices, all_faces = held.vertices, held.faces
     if len(all_faces) == 0:
         raise ValueError(f"{file}: holds no triangles")
     with np.errstate(over="ignore"):
@@ -82,7 +105,7 @@ def load_mesh(path: str | os.PathLike, *, unit: Any, axes: Axes | None = None) -
         shown = ", ".join(str(f) for f in flat[:10]) + (", ..." if flat.size > 10 else "")
         warnings.warn(f"{file}: {flat.size} faces have zero area and are never hit: {shown}", stacklevel=2)
     try:
-        return Body(Mesh(all_vertices, all_faces), part, names)
+        return Body(Mesh(all_vertices, all_faces), held.part, held.part_names, held.material, held.material_names)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
 
@@ -100,7 +123,8 @@ def split_bodies(body: Body) -> Body:
     of_vertex = connected_components(coo_array((np.ones(start.size), (start, stop)), shape=(count, count)))[1]
     first, part = np.unique(of_vertex[same[:, 0]], return_index=True, return_inverse=True)[1:]
     rank = np.argsort(np.argsort(first))
-    return Body(body.mesh, rank[part.reshape(-1)].astype(np.int32), tuple(f"body_{i}" for i in range(first.size)))
+    names = tuple(f"body_{i}" for i in range(first.size))
+    return body._replace(part=rank[part.reshape(-1)].astype(np.int32), part_names=names)
 
 
 def _read(file: Path) -> FileMesh:
@@ -125,6 +149,7 @@ def _by_trimesh(file: Path) -> FileMesh:
     loaded = trimesh.load_scene(str(file), process=False)
     vertices, faces, part = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
     names: list[str] = []
+    materials: list[str] = []
     offset = 0
     for node in loaded.graph.nodes_geometry:
         transform, name = loaded.graph[node]
@@ -138,8 +163,14 @@ def _by_trimesh(file: Path) -> FileMesh:
         faces.append(corners + offset)
         part.append(np.full(len(corners), len(names), np.int32))
         names.append(str(name))
+        materials.append(str(getattr(getattr(geometry.visual, "material", None), "name", None) or ""))
         offset += len(points)
-    return FileMesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(part), tuple(names))
+    whole = FileMesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(part), tuple(names))
+    if not any(materials):
+        return whole
+    known = tuple(dict.fromkeys(materials))
+    of_part = np.array([known.index(material) for material in materials], np.int32)
+    return whole._replace(material=of_part[whole.part], material_names=known)
 
 
 def _require_whole_glb(file: Path) -> None:

@@ -21,7 +21,7 @@ def read_obj(file: Path) -> FileMesh:
     """Read an OBJ file.
 
     A face belongs to the object (`o`) or group (`g`) named last; in a file that names neither, to its material
-    (`usemtl`).
+    (`usemtl`). Materials are kept beside the parts.
 
     Args:
         file: the file.
@@ -65,15 +65,21 @@ def read_obj(file: Path) -> FileMesh:
                     raise ValueError("expected a word of the OBJ format, as v or f")
             except ValueError as error:
                 raise ValueError(f"{file}:{line}: got {written.strip()[:60]!r}, {error}") from None
-    named = objects if any(objects) else materials
-    names = tuple(dict.fromkeys(named))
-    place = {name: i for i, name in enumerate(names)}
+    part, names = _indices(objects if any(objects) else materials)
     return FileMesh(
         np.array(vertices, np.float64).reshape(-1, 3),
         np.array(faces, np.int64).reshape(-1, 3),
-        np.array([place[name] for name in named], np.int32),
+        part,
         tuple(name or file.stem for name in names),
+        *(_indices(materials) if any(materials) else ()),
     )
+
+
+def _indices(named: list[str]) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Index of each name, and the names in the order in which they come."""
+    names = tuple(dict.fromkeys(named))
+    place = {name: i for i, name in enumerate(names)}
+    return np.array([place[name] for name in named], np.int32), names
 
 
 def _index(word: str, count: int) -> int:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxir.geometry.search import Mesh
+from jaxir.geometry.selection import Intersection, new_part
 from jaxir.io.field import load_face_values, load_surface_field
 from jaxir.io.mesh import Axes, Body, load_mesh, split_bodies
 from jaxir.io.scene_file._entries import (
@@ -24,7 +23,7 @@ from jaxir.io.scene_file._entries import (
     one_of,
     text,
 )
-from jaxir.optics.surface import AbstractBrdf, BrdfPerFace
+from jaxir.optics.surface import AbstractBrdf, joined_brdf
 from jaxir.scene import Skin
 
 
@@ -32,7 +31,8 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
     """The table `skin`.
 
     `temperature` and `brdf` hold for all faces, and `[[skin.parts]]`, in order, replace them: for the part that the
-    mesh file calls by the given `name`, or, with `faces`, for a new part of that name.
+    mesh file calls by the given `name`, or, with `faces`, for a new part of that name. Faces are indices, or what one
+    selection holds, or what every one of several does, see `jaxir.geometry.selection`.
 
     Args:
         entry: the table.
@@ -51,10 +51,11 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
     temperature = np.full(body.mesh.count, np.nan)
     kind = np.full(body.mesh.count, -1)
     brdfs: list[AbstractBrdf] = []
-    part, names = body.part.copy(), list(body.part_names)
     changes = keys["parts"].items() if "parts" in keys else []
     for change in [everywhere, *changes]:
-        faces = np.arange(body.mesh.count) if change is everywhere else _faces(change, part, names)
+        faces = np.arange(body.mesh.count)
+        if change is not everywhere:
+            faces, body = _faces(change, body, readers)
         given = change.children()
         if "temperature" in given:
             temperature[faces] = face_temperature(given["temperature"], body.mesh, faces, readers)
@@ -67,9 +68,10 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
     for what, missing in (("temperature", np.isnan(temperature)), ("brdf", kind < 0)):
         if missing.any():
             face = int(np.argmax(missing))
-            raise ValueError(f"{entry.file}: {entry.key}: got no {what} for face {face}, of part {names[part[face]]!r}")
+            part = body.part_names[body.part[face]]
+            raise ValueError(f"{entry.file}: {entry.key}: got no {what} for face {face}, of part {part!r}")
     try:
-        return Skin(body.mesh, temperature, _joined(brdfs, kind), part, names)
+        return Skin(body.mesh, temperature, joined_brdf(brdfs, kind), body.part, body.part_names)
     except ValueError as error:
         raise entry.failed(error) from error
 
@@ -86,25 +88,32 @@ def _body(entry: Entry, readers: Mapping[str, Reader]) -> Body:
     return build(entry, kinds, readers, default="load_mesh")
 
 
-def _faces(change: Entry, part: np.ndarray, names: list[str]) -> np.ndarray:
-    """The faces that an entry of `parts` is about; those of a new part are given to it."""
+def _faces(change: Entry, body: Body, readers: Mapping[str, Reader]) -> tuple[np.ndarray, Body]:
+    """The faces that an entry of `parts` is about, and the body with them as a part if it is a new one."""
     keys = change.only(["name", "faces", "temperature", "brdf"], ["name"])
     name = text(keys["name"])
+    names = body.part_names
     if "faces" not in keys:
         if name not in names:
             one_of(names)(keys["name"])
-        return np.flatnonzero(part == names.index(name))
+        return np.flatnonzero(body.part == names.index(name)), body
     if name in names:
         raise keys["name"].wrong(f"a new name for the faces; {', '.join(names)} are taken")
-    faces = _face_list(keys["faces"], part.size)
-    part[faces] = len(names)
-    names.append(name)
-    return faces
+    faces = _face_list(keys["faces"], body, readers)
+    return faces, body._replace(**new_part(name, faces, body.part, names))
 
 
-def _face_list(entry: Entry, count: int) -> np.ndarray:
-    """Indices of faces: a list, or `{ start, stop }` with stop one past the last."""
-    if isinstance(entry.value, dict) and "path" not in entry.value:
+def _face_list(entry: Entry, body: Body, readers: Mapping[str, Reader]) -> np.ndarray:
+    """Indices of faces: a list, `{ start, stop }` with stop one past the last, or what one or all selections hold."""
+    value, count = entry.value, body.part.size
+    tables = isinstance(value, list) and value != [] and all(isinstance(one, dict) for one in value)
+    if tables or isinstance(value, dict) and "type" in value:
+        held = readers["of"](entry)
+        try:
+            return body.select(Intersection(held) if tables else held)
+        except ValueError as error:
+            raise entry.failed(error) from error
+    if isinstance(value, dict) and "path" not in value:
         ends = entry.only(["start", "stop"], ["start", "stop"])
         faces = np.arange(integer(ends["start"]), min(integer(ends["stop"]), count + 1))
     else:
@@ -132,34 +141,3 @@ def face_temperature(entry: Entry, mesh: Mesh, faces: np.ndarray, readers: Mappi
     if not (value > 0).all():
         raise entry.wrong("temperatures > 0 K")
     return np.broadcast_to(value, faces.shape)
-
-
-def _joined(brdfs: Sequence[AbstractBrdf], kind: np.ndarray) -> AbstractBrdf:
-    """One brdf of all faces: those of one class become one with parameters per face."""
-    used = sorted(set(kind.tolist()))
-    classes = list(dict.fromkeys(_class(brdfs[i], i) for i in used))
-    merged = [_merged([(i, brdfs[i]) for i in used if _class(brdfs[i], i) == one], kind) for one in classes]
-    if len(merged) == 1:
-        return merged[0]
-    place = {i: classes.index(_class(brdfs[i], i)) for i in used}
-    return BrdfPerFace(merged, np.array([place[i] for i in kind.tolist()]))
-
-
-def _class(brdf: AbstractBrdf, index: int) -> Any:
-    """What may be merged: tables are too large to be repeated for every face, so each stands alone."""
-    small = all(leaf.ndim <= 2 for leaf in jax.tree.leaves(brdf))
-    return type(brdf), -1 if small else index
-
-
-def _merged(brdfs: Sequence[tuple[int, AbstractBrdf]], kind: np.ndarray) -> AbstractBrdf:
-    if len(brdfs) == 1:
-        return brdfs[0][1]
-
-    def per_face(*leaves: Any) -> Any:
-        width = max(leaf.shape[1] for leaf in leaves)
-        value = jnp.zeros((kind.size, width), leaves[0].dtype)
-        for (index, _), leaf in zip(brdfs, leaves, strict=True):
-            value = jnp.where(jnp.asarray(kind == index)[:, None], leaf, value)
-        return value
-
-    return jax.tree.map(per_face, *(brdf for _, brdf in brdfs))

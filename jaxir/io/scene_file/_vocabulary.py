@@ -13,6 +13,17 @@ import jax
 import numpy as np
 
 from jaxir.geometry import Grid, Independent, Lattice, Sobol, Stratified, orthographic_camera, perspective_camera
+from jaxir.geometry.selection import (
+    AbovePlane,
+    Complement,
+    Connected,
+    Facing,
+    InBox,
+    InCylinder,
+    OfMaterial,
+    OfPart,
+    Union,
+)
 from jaxir.io.mesh import METRES, Axes
 from jaxir.io.scene_file._entries import (
     Entry,
@@ -203,6 +214,31 @@ SAMPLERS: dict[str, Callable] = {
 }
 
 
+SELECTIONS: dict[str, Callable] = {
+    "InBox": InBox,
+    "InCylinder": InCylinder,
+    "AbovePlane": AbovePlane,
+    "Facing": Facing,
+    "Connected": Connected,
+    "OfPart": OfPart,
+    "OfMaterial": OfMaterial,
+    "Union": Union,
+    "Complement": Complement,
+}
+
+
+def _selections(entry: Entry) -> Any:
+    """A selection of faces, or several."""
+    if isinstance(entry.value, list):
+        return tuple(build(item, SELECTIONS, READERS) for item in entry.items())
+    return build(entry, SELECTIONS, READERS)
+
+
+def _texts(entry: Entry) -> tuple[str, ...]:
+    """A string or several."""
+    return tuple(text(item) for item in entry.items()) if isinstance(entry.value, list) else (text(entry),)
+
+
 def _direct(entry: Entry) -> Any:
     """How direct light is found; the text "none" leaves it out."""
     return None if entry.value == "none" else build(entry, DIRECT, READERS, default="DirectSampling")
@@ -235,15 +271,18 @@ READERS: dict[str, Reader] = {
     "intensity": _light,
     "irradiance": _light,
     "lights": integer,
+    "materials": _texts,
     "mole_fractions": _number_table,
     "molar_masses": _field_values,
     "name": text,
     "order": integer,
     "nose": _direction,
+    "of": _selections,
     "orders": integer,
     "pair_points": integer,
     "panels": integer,
     "particles": _of(PARTICLES),
+    "parts": _texts,
     "path": existing_file,
     "phase": _of(PHASES),
     "plume_light": _of({"PlumeLight": PlumeLight}),

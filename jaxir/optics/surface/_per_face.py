@@ -92,3 +92,55 @@ class BrdfPerFace(AbstractBrdf):
         for place, brdf in enumerate(self.kinds[1:], start=1):
             chosen = jnp.where(self.kind == place, of(brdf), chosen)
         return chosen
+
+
+def painted_brdf(brdf: AbstractBrdf, paint: AbstractBrdf, faces: Int[np.ndarray, " some"], count: int) -> AbstractBrdf:
+    """A brdf of `count` faces with another one on some of them.
+
+    Raises:
+        ValueError: a paint with parameters of more than one face.
+    """
+    if paint.shape()[0] != 1:
+        raise ValueError(
+            f"brdf: got parameters of {paint.shape()[0]} faces, expected those of one for all faces painted"
+        )
+    kinds = list(brdf.kinds) if isinstance(brdf, BrdfPerFace) else [brdf]
+    kind = np.array(brdf.kind) if isinstance(brdf, BrdfPerFace) else np.zeros(count, np.int32)
+    kind[faces] = len(kinds)
+    return joined_brdf([*kinds, paint], kind)
+
+
+def joined_brdf(brdfs: Sequence[AbstractBrdf], kind: np.ndarray) -> AbstractBrdf:
+    """One brdf of all faces: those of one class become one with parameters per face.
+
+    Args:
+        brdfs: with parameters for all faces alike, or one per face.
+        kind: index into them of each face [face].
+    """
+    used = sorted(set(kind.tolist()))
+    classes = list(dict.fromkeys(_class(brdfs[i], i) for i in used))
+    merged = [_merged([(i, brdfs[i]) for i in used if _class(brdfs[i], i) == one], kind) for one in classes]
+    if len(merged) == 1:
+        return merged[0]
+    place = {i: classes.index(_class(brdfs[i], i)) for i in used}
+    return BrdfPerFace(merged, np.array([place[i] for i in kind.tolist()]))
+
+
+def _class(brdf: AbstractBrdf, index: int) -> Any:
+    """What may be merged: tables are too large to be repeated for every face, so each stands alone."""
+    small = all(leaf.ndim <= 2 for leaf in jax.tree.leaves(brdf))
+    return type(brdf), -1 if small else index
+
+
+def _merged(brdfs: Sequence[tuple[int, AbstractBrdf]], kind: np.ndarray) -> AbstractBrdf:
+    if len(brdfs) == 1:
+        return brdfs[0][1]
+
+    def per_face(*leaves: Any) -> Any:
+        width = max(leaf.shape[1] for leaf in leaves)
+        value = jnp.zeros((kind.size, width), leaves[0].dtype)
+        for (index, _), leaf in zip(brdfs, leaves, strict=True):
+            value = jnp.where(jnp.asarray(kind == index)[:, None], leaf, value)
+        return value
+
+    return jax.tree.map(per_face, *(brdf for _, brdf in brdfs))
