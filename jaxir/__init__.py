@@ -51,18 +51,22 @@ from jaxir.optics.particle import number_density as number_density
 from jaxir.optics.spectrum import BlackbodySpectrum as BlackbodySpectrum
 from jaxir.optics.spectrum import TabulatedSpectrum as TabulatedSpectrum
 from jaxir.scene.light import BlackbodyBackground as BlackbodyBackground
+from jaxir.scene.light import ClearSky as ClearSky
 from jaxir.scene.light import DiscSource as DiscSource
 from jaxir.scene.light import ElevationTable as ElevationTable
 from jaxir.scene.light import ParallelSource as ParallelSource
 from jaxir.scene.light import PointSource as PointSource
 from jaxir.scene.light import PolygonSource as PolygonSource
 from jaxir.scene.light import SphereSource as SphereSource
+from jaxir.scene.light import Sun as Sun
+from jaxir.scene.light import sun_at as sun_at
 from jaxir.scene.light import UniformBackground as UniformBackground
 
 # The air in front of it
 from jaxir.optics.air import slant_range as slant_range
 from jaxir.optics.air import us_standard_1976 as us_standard_1976
 from jaxir.scene.air import FixedPath as FixedPath
+from jaxir.scene.air import PathToSpace as PathToSpace
 from jaxir.scene.air import StandardAtmosphere as StandardAtmosphere
 from jaxir.scene.air import TableAtmosphere as TableAtmosphere
 from jaxir.scene.air import UniformAtmosphere as UniformAtmosphere

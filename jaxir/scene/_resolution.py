@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -27,7 +28,8 @@ from jaxir.optics.spectrum import (
     resolved_nodes,
     with_error,
 )
-from jaxir.scene._scene import Scene, on_nodes
+from jaxir.scene._scene import Lit, Scene, on_nodes
+from jaxir.scene.light import area_sources, backgrounds, delta_sources
 
 RTOL = 0.02  # of the in-band results of probing rays, against the finest nodes
 REFERENCE = RESOLUTIONS[-2]  # 8 quantiles: within .5 % of twelve
@@ -166,16 +168,16 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
     """In-band radiance, means of the probing rays of a direction, of what lies behind them, and of the skin alone."""
     lit = on_nodes(scene, nodes)
     dark = jnp.zeros((1, nodes.count), nodes.weight.dtype)
-    behind = dark
+    behind, lights = dark, _lights(scene, lit)
     if scene.skin is not None:
         warm = jnp.stack([scene.skin.temperature.mean(), scene.skin.temperature.max()])
         behind = jnp.concatenate([dark, jax.vmap(lambda t: band_radiance(t, nodes))(warm)])
     if lit.medium is None:
-        return nodes.in_band(lit.dimmed_by_air(behind[1:] if len(behind) > 1 else behind))
+        return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([behind[1:] if len(behind) > 1 else behind, *lights])))
     corners = scene.extent()
     low, high = corners.min(axis=0), corners.max(axis=0)
     place = jnp.asarray((np.indices((_ACROSS, _ACROSS)).reshape(2, -1).T + 0.5) / _ACROSS, low.dtype)
-    results = []
+    results = [lit.dimmed_by_air(light) for light in lights]
     for toward in _DIRECTIONS:
         axis = int(np.argmax(np.abs(toward)))
         others = [k for k in range(3) if k != axis]
@@ -189,3 +191,13 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
         shine = lit.medium.radiance(rays, far, jnp.broadcast_to(dark, (rays.count, nodes.count))).mean(axis=0)
         results.append(lit.dimmed_by_air(shine[None] + passed[None] * behind))
     return nodes.in_band(jnp.concatenate(results))
+
+
+def _lights(scene: Scene, lit: Lit) -> list[Float[Array, "_light node"]]:
+    """What lights bring from above, from below and from the side, of those that depend on the wavenumber in a band."""
+    omega = jnp.asarray([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], lit.nodes.weight.dtype)
+    behind = [(scene.background, lit.scene.background)] if scene.background is not None else []
+    both: list[Any] = [*zip(scene.sources, lit.scene.sources, strict=True), *behind]
+    on = tuple(own for given, own in both if given.has_spectrum)
+    found = [source.beam(omega[0])[None] for source in delta_sources(on)]
+    return found + [light.arriving(omega) for light in (*area_sources(on), *backgrounds(on))]

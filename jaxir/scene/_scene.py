@@ -27,6 +27,7 @@ from jaxir.scene.light import (
     area_sources,
     backgrounds,
     delta_sources,
+    within_scene,
 )
 from jaxir.scene.plume import AbstractPlume, together
 
@@ -46,7 +47,8 @@ class Scene(eqx.Module):
         sources: lights, without extent (`ParallelSource`, `PointSource`) and with (`DiscSource`, `PolygonSource`,
             `SphereSource`, or a background). They light skin and particles; a camera does not see them, and they cast
             no shadow.
-        background: what rays see that meet nothing; it lights skin and particles, too.
+        background: what rays see that meet nothing; it lights skin and particles, too. A `Sun` and a `ClearSky` take
+            what they lack, the altitude and the path to the Sun, from `atmosphere` when the scene is made.
         atmosphere: the path from the target to the sensor.
     """
 
@@ -71,9 +73,9 @@ class Scene(eqx.Module):
         """
         self.skin = _part("skin", skin, Skin)
         self.plumes = _parts("plumes", plumes, AbstractPlume)
-        self.sources = _parts("sources", sources, AbstractLight)
-        self.background = _part("background", background, AbstractBackground)
         self.atmosphere = _part("atmosphere", atmosphere, AbstractAtmosphere)
+        lights = _parts("sources", sources, AbstractLight), _part("background", background, AbstractBackground)
+        self.sources, self.background = within_scene(*lights, self.atmosphere)
         if self.skin is None and not self.plumes:
             raise ValueError("Scene: got neither skin nor plume, expected at least one of them")
 

@@ -5,6 +5,7 @@ A new gas, brdf, light, atmosphere is one line here; a new parameter of one is n
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,16 +45,19 @@ from jaxir.optics.gas import CorrelatedK, CrossSections, GrayGas, NarrowBandGas,
 from jaxir.optics.particle import GrayParticles, HenyeyGreenstein, Isotropic, Particles, TabulatedPhase, mie_table
 from jaxir.optics.spectrum import LWIR, MWIR, SWIR, Band, BlackbodySpectrum, Nodes, TabulatedSpectrum, sensor_band
 from jaxir.optics.surface import BrdfTable, Lambert, RoughConductor, SandfordRobertson
-from jaxir.scene.air import FixedPath, StandardAtmosphere, TableAtmosphere, UniformAtmosphere
+from jaxir.scene.air import FixedPath, PathToSpace, StandardAtmosphere, TableAtmosphere, UniformAtmosphere
 from jaxir.scene.light import (
     BlackbodyBackground,
+    ClearSky,
     DiscSource,
     ElevationTable,
     ParallelSource,
     PointSource,
     PolygonSource,
     SphereSource,
+    Sun,
     UniformBackground,
+    sun_at,
 )
 from jaxir.scene.plume import GridPlume, JetPlume
 from jaxir.transport import ClosedForm, DirectSampling, DiscreteOrdinates, PlumeLight, SkinLight
@@ -153,6 +157,13 @@ def _per_node(entry: Entry) -> float | np.ndarray:
     return value[..., None] if isinstance(value, np.ndarray) and value.ndim == 3 else value
 
 
+def _moment(entry: Entry) -> datetime.datetime:
+    """Date and time with a zone."""
+    if not isinstance(entry.value, datetime.datetime) or entry.value.tzinfo is None:
+        raise entry.wrong("date and time with a zone, as 2026-06-21T12:00:00Z")
+    return entry.value
+
+
 def _key(entry: Entry) -> Any:
     return jax.random.key(integer(entry))
 
@@ -178,23 +189,27 @@ PHASES: dict[str, Callable] = {
     "TabulatedPhase": TabulatedPhase,
 }
 PLUMES: dict[str, Callable] = {"GridPlume": GridPlume, "JetPlume": JetPlume}
+SUNS: dict[str, Callable] = {"Sun": Sun, "sun_at": sun_at}
 SOURCES: dict[str, Callable] = {
     "ParallelSource": ParallelSource,
     "PointSource": PointSource,
     "DiscSource": DiscSource,
     "PolygonSource": PolygonSource,
     "SphereSource": SphereSource,
+    **SUNS,
 }
 SPECTRA: dict[str, Callable] = {"BlackbodySpectrum": BlackbodySpectrum, "TabulatedSpectrum": TabulatedSpectrum}
 BACKGROUNDS: dict[str, Callable] = {
     "UniformBackground": UniformBackground,
     "BlackbodyBackground": BlackbodyBackground,
     "ElevationTable": ElevationTable,
+    "ClearSky": ClearSky,
 }
 ATMOSPHERES: dict[str, Callable] = {
     "StandardAtmosphere": StandardAtmosphere,
     "UniformAtmosphere": UniformAtmosphere,
     "FixedPath": FixedPath,
+    "PathToSpace": PathToSpace,
     "TableAtmosphere": TableAtmosphere,
     "load_atmosphere_csv": load_atmosphere_csv,
     "load_tape7": load_tape7,
@@ -256,6 +271,7 @@ def _of(constructors: dict[str, Callable]) -> Reader:
 
 # How the values of parameters are read, whatever constructor they belong to; those not named here are numbers.
 READERS: dict[str, Reader] = {
+    "air": _of(ATMOSPHERES),
     "axes": _of(AXES),
     "axisymmetric": one_of(list("xyz")),
     "bands": band_list,
@@ -294,8 +310,10 @@ READERS: dict[str, Reader] = {
     "scattering": _of({"DiscreteOrdinates": DiscreteOrdinates}),
     "shape": sizes,
     "skin_light": _of({"SkinLight": SkinLight}),
+    "sun": lambda entry: build(entry, SUNS, READERS, default="Sun"),
     "table": _mie,
     "tables": _k_tables,
+    "time": _moment,
     "up": _direction,
     "unit": _unit,
 }

@@ -8,6 +8,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from jaxir._fields import Physical
+from jaxir.optics.air import Profile
 from jaxir.optics.spectrum import Nodes
 
 
@@ -25,6 +26,11 @@ class AirPath(eqx.Module):
 
 class AbstractAtmosphere(Physical):
     """One path through the atmosphere, the same for every pixel."""
+
+    @property
+    def target(self) -> tuple[Float[Array, ""], Profile] | None:
+        """Altitude of the target [m] and the air around it, from which sky and sunlight follow; None if not known."""
+        return None
 
     @abc.abstractmethod
     def on(self, nodes: Nodes) -> AirPath:

@@ -16,16 +16,12 @@ from jaxir.optics.air import (
     path_air,
     path_emission,
     path_transmittance,
-    us_standard_1976,
 )
 from jaxir.optics.spectrum import Nodes, bins_inside
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
+from jaxir.scene.air._to_space import or_us_standard
 
 _MADE_FOR = "the fit was made for no more"
-
-
-def _or_us_standard(profile: Profile | None) -> Profile:
-    return us_standard_1976() if profile is None else profile
 
 
 class StandardAtmosphere(AbstractAtmosphere):
@@ -56,7 +52,7 @@ class StandardAtmosphere(AbstractAtmosphere):
     sensor_altitude: Float[Array, ""] = quantity("m", within=(finite, usual(-500, 12e3, "m", above=_MADE_FOR)))
     target_altitude: Float[Array, ""] = quantity("m", within=(finite, usual(25, 12e3, "m", "is it in km?", _MADE_FOR)))
     distance: Float[Array, ""] = quantity("m", within=(positive, usual(100, 60e3, "m", "is it in km?", _MADE_FOR)))
-    profile: Profile = eqx.field(converter=_or_us_standard, default=None)
+    profile: Profile = eqx.field(converter=or_us_standard, default=None)
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`: the radiance is the air's own emission.
@@ -67,6 +63,11 @@ class StandardAtmosphere(AbstractAtmosphere):
         require(self.node_checks(nodes))
         air = path_air(self.profile, self.sensor_altitude, self.target_altitude, self.distance)
         return AirPath(path_transmittance(air, nodes), path_emission(air, nodes))
+
+    @property
+    def target(self) -> tuple[Float[Array, ""], Profile]:
+        """See `AbstractAtmosphere.target`."""
+        return self.target_altitude, self.profile
 
     @property
     def has_spectrum(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 from jax import lax
@@ -15,6 +15,7 @@ from jaxir._math import dot
 from jaxir.geometry.search import Mesh
 from jaxir.optics.spectrum import Nodes
 from jaxir.optics.surface import cosine_density, cosine_direction
+from jaxir.scene.air import AbstractAtmosphere
 
 L = TypeVar("L", bound="AbstractLight")
 
@@ -43,6 +44,13 @@ class AbstractLight(Physical):
     @abc.abstractmethod
     def on(self, nodes: Nodes) -> AbstractLight:
         """The light on the nodes. Differentiable in its fields."""
+
+    def within(self, atmosphere: AbstractAtmosphere | None, sources: tuple[AbstractLight, ...]) -> AbstractLight:
+        """The light in a scene with this air and these sources: what was left open is taken from them.
+
+        `Scene` asks for it when it is made; what was taken stays, also where the scene's air is taken away.
+        """
+        return self
 
 
 class AbstractDeltaSource(AbstractLight):
@@ -135,6 +143,18 @@ def area_sources(lights: tuple[AbstractLight, ...]) -> tuple[AbstractAreaSource,
 def backgrounds(lights: tuple[AbstractLight, ...]) -> tuple[AbstractBackground, ...]:
     """Those all around."""
     return tuple(light for light in lights if isinstance(light, AbstractBackground))
+
+
+def within_scene(sources: tuple[Any, ...], background: Any, atmosphere: Any) -> tuple[tuple[Any, ...], Any]:
+    """Lights as they are in a scene, see `AbstractLight.within`, sources in order; what stands for a light stays."""
+
+    def own(light: Any, before: tuple[Any, ...]) -> Any:
+        return light.within(atmosphere, before) if isinstance(light, AbstractLight) else light
+
+    found: tuple[Any, ...] = ()
+    for source in sources:
+        found += (own(source, found),)
+    return found, own(background, found)
 
 
 def towards(offset: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:

@@ -12,7 +12,7 @@ from jaxir.geometry.search import Mesh, occluded
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene.light._light import AbstractDeltaSource, spread
 
-_SUNLIGHT = usual(0, 2e3, "W m-2", above="the Sun gives 1361 at all wavelengths together")
+SUNLIGHT = usual(0, 2e3, "W m-2", above="the Sun gives 1361 at all wavelengths together")
 
 
 class ParallelSource(AbstractDeltaSource):
@@ -26,7 +26,7 @@ class ParallelSource(AbstractDeltaSource):
     """
 
     direction: Float[Array, " 3"] = quantity("1", (3,), unit_vector)
-    irradiance: SpectralLight = light("W m-2", (non_negative, _SUNLIGHT))
+    irradiance: SpectralLight = light("W m-2", (non_negative, SUNLIGHT))
 
     def on(self, nodes: Nodes) -> ParallelSource:
         """See `AbstractLight.on`."""
