@@ -268,6 +268,22 @@ def by_band(of: P, nodes: Any) -> P:
     return spread(of)
 
 
+def brightened(of: P, factor: Array) -> P:
+    """The same light with a factor on all that it shines.
+
+    Args:
+        of: a light on the nodes.
+        factor: [].
+
+    Raises:
+        ValueError: it declares nothing in W.
+    """
+    changed = {name: value * factor for name, declared, value in _numbers(of) if declared.unit.startswith("W")}
+    if not changed:
+        raise ValueError(f"{type(of).__name__}: declares no field in W, expected one that says what it shines")
+    return _replaced(of, changed)
+
+
 def _replaced(of: P, changed: dict[str, Any]) -> P:
     """The same object with other values, not checked anew."""
     if not changed:

@@ -19,8 +19,12 @@ from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
 from jaxir.transport import (
+    Components,
     Method,
+    components_of,
+    empty_components,
     error_of_bands,
+    evaluate_components,
     evaluate_orders,
     share_outside,
     solution_checks,
@@ -40,13 +44,15 @@ class Estimate(NamedTuple):
     """Mean radiance in the pixels of tiles and its variance [tile, pixel, band].
 
     `empty` is what would be seen without the scene; one value [1, 1, band] where the background is uniform. `orders`
-    is what the last two orders of scattering brought [tile, pixel, 2, band]; None without particles.
+    is what the last two orders of scattering brought [tile, pixel, 2, band]; None without particles. `parts` is the
+    mean by component [tile, pixel, component, band]; None where it was not asked for.
     """
 
     mean: Array
     variance: Array
     empty: Array
     orders: Array | None
+    parts: Array | None
 
 
 class Pass(NamedTuple):
@@ -60,6 +66,7 @@ class Pass(NamedTuple):
         strata: columns and rows of strata in a pixel.
         method: how radiance is found.
         parts: chunks into which a small image is cut all the same.
+        components: by which radiance is split; None for none.
     """
 
     lit: Lit
@@ -69,6 +76,7 @@ class Pass(NamedTuple):
     strata: tuple[int, int]
     method: Method
     parts: int = PARTS
+    components: Components | None = None
 
     @property
     def strata_at_once(self) -> int:
@@ -123,7 +131,7 @@ def first_pass(
     key: Key[Array, ""],
     samples: int,
     method: Method,
-    parts: int = PARTS,
+    components: str | None = None,
 ) -> Pass:
     """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
     strata, nodes = pixel_strata(samples), scene_nodes(scene, bands)
@@ -132,7 +140,7 @@ def first_pass(
     method = method.resolved(scene)
     lit, reach = _prepared(scene, nodes, camera, method)
     lit = enforce(lit, [eye_outside(reach), *solution_checks(lit)])
-    return Pass(lit, camera, key, as_number(0), strata, method, parts)
+    return Pass(lit, camera, key, as_number(0), strata, method, PARTS, components_of(scene, method, components))
 
 
 @eqx.filter_jit
@@ -156,9 +164,14 @@ def whole_image(taken: Pass, parts: Estimate) -> Image:
     if parts.orders is not None:
         orders = _untile(camera, parts.orders.reshape((*parts.orders.shape[:3], -1)))
         orders = orders.reshape((*orders.shape[:2], 2, -1))
+    by_component = None
+    if parts.parts is not None:
+        by_component = _untile(camera, parts.parts.reshape((*parts.parts.shape[:3], -1)))
+        by_component = by_component.reshape((*by_component.shape[:2], *parts.parts.shape[3:]))
+    names = () if taken.components is None else taken.components.names
     samples = 2 * taken.strata[0] * taken.strata[1]
     nodes, outside = taken.lit.nodes, share_outside(taken.lit, camera)
-    about = error_of_bands(taken.lit), nodes.error, outside
+    about = error_of_bands(taken.lit), nodes.error, outside, names, by_component
     return image_of(camera, nodes.names, mean, variance, empty, samples, orders, *about)
 
 
@@ -187,7 +200,10 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
         def nothing() -> tuple[_Seen, Array]:
             dark = _dark(taken, empty)
             assert empty is not None
-            return dark._replace(radiance=dark.radiance + empty), dark.radiance
+            parts = dark.parts
+            if parts is not None and taken.components is not None:
+                parts = parts + lit.nodes.in_band(empty_components(lit, taken.components, camera.frame[0]))[None, None]
+            return dark._replace(radiance=dark.radiance + empty, parts=parts), dark.radiance
 
         if not uniform:
             return _estimate(taken, tile, key, start, empty)
@@ -199,7 +215,7 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     every = lax.map(block, (tile[order].reshape(blocks), keys, jnp.any(some[order].reshape(blocks), axis=1)))
     back = jnp.argsort(order)
     mean, variance = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:]))[back], every)
-    return Estimate(mean.radiance, variance, mean.empty if empty is None else empty, mean.orders)
+    return Estimate(mean.radiance, variance, mean.empty if empty is None else empty, mean.orders, mean.parts)
 
 
 def _dark(taken: Pass, empty: Array | None) -> _Seen:
@@ -208,7 +224,8 @@ def _dark(taken: Pass, empty: Array | None) -> _Seen:
     bands, dtype = taken.lit.nodes.response.shape[0], taken.camera.pixel.dtype
     zero = jnp.zeros((*pixels, bands), dtype)
     orders = None if not taken.method.samples_particles(taken.lit.scene) else jnp.zeros((*pixels, 2, bands), dtype)
-    return _Seen(zero, zero if empty is None else None, orders)
+    parts = None if taken.components is None else jnp.zeros((*pixels, len(taken.components.names), bands), dtype)
+    return _Seen(zero, zero if empty is None else None, orders, parts)
 
 
 def _estimate(
@@ -223,12 +240,14 @@ def _estimate(
         index = first + jnp.arange(some, dtype=jnp.int32)
         offset = jax.vmap(lambda i: stratum_points(for_pixels, i, size, strata))(index)
         bundle = tile_rays(camera, tile, offset, start)
-        parts = evaluate_orders(lit, trace(lit.scene, bundle, method, jax.random.fold_in(for_paths, first)))
-        orders = jnp.stack([parts.last, parts.before], axis=1) if method.samples_particles(lit.scene) else None
+        paths = trace(lit.scene, bundle, method, jax.random.fold_in(for_paths, first))
+        found = evaluate_orders(lit, paths)
+        orders = jnp.stack([found.last, found.before], axis=1) if method.samples_particles(lit.scene) else None
+        parts = None if taken.components is None else evaluate_components(lit, paths, taken.components)
         without = lit.empty(bundle.rays().direction) if empty is None else None
         seen = jax.tree.map(
             lambda value: lit.nodes.in_band(value).reshape((size, TILE * TILE, some, 2, *value.shape[1:-1], -1)),
-            _Seen(parts.radiance, without, orders),
+            _Seen(found.radiance, without, orders, parts),
         )
 
         def added(value: Array) -> Array:
@@ -246,11 +265,12 @@ def _estimate(
 
 
 class _Seen(NamedTuple):
-    """What rays see [ray, node] or pixels [tile, pixel, band]: the scene, the same without it, two orders of it."""
+    """What rays see [ray, node] or pixels [tile, pixel, band]: all, without the scene, two orders, components."""
 
     radiance: Array
     empty: Array | None
     orders: Array | None
+    parts: Array | None
 
 
 def reach_to_eye(scene: Scene, camera: Camera) -> Float[Array, ""]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from jaxir._math import safe_sqrt
 from jaxir.geometry import Camera
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._left_out import Asked
+from jaxir.transport import AIR, BACKGROUND
 
 
 class Outcome(eqx.Enumeration):
@@ -41,6 +43,8 @@ class Image(eqx.Module):
         spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
         outside: share of the scene's intensity beyond the frame, roughly [band], see `share_outside`; None unknown.
         asked: what it is an image of, for `error_budget`; None where values were known only inside jit.
+        components: names of what `parts` holds, where `render` was asked for components.
+        parts: the radiance by where its light comes from [row, column, component, band]; it adds up to `radiance`.
     """
 
     radiance: Float[Array, "row column band"]
@@ -55,6 +59,21 @@ class Image(eqx.Module):
     spectral: Float[Array, " band"] | None = None
     outside: Float[Array, " band"] | None = None
     asked: Asked | None = None
+    components: tuple[str, ...] = eqx.field(static=True, default=())
+    parts: Float[Array, "row column component band"] | None = None
+
+    def component_intensity(self) -> Float[Array, "component band"]:
+        """`radiant_intensity` by component [component, band] [W sr-1], which adds up to it.
+
+        What the empty image would show is taken from the background, whose part is therefore what the scene hides of
+        it, below 0 where skin is in front; that of the air, the same with and without the scene, is 0.
+
+        Raises:
+            ValueError: `render` was not asked for components.
+        """
+        if self.parts is None:
+            raise ValueError('Image.parts: got none, expected render(..., components="sources")')
+        return _by_component(self.camera, self.parts, self.empty, self.components)
 
     def radiant_intensity(self) -> Float[Array, " band"]:
         """Radiant intensity in contrast to what the empty image would show [band] [W sr-1].
@@ -99,6 +118,16 @@ def _intensity(camera: Camera, radiance: Array, empty: Array) -> Float[Array, " 
     return jnp.sum((radiance - empty) * camera.pixel_area()[:, :, None], axis=(0, 1))
 
 
+@partial(jax.jit, static_argnames="names")
+def _by_component(camera: Camera, parts: Array, empty: Array, names: tuple[str, ...]) -> Float[Array, "component band"]:
+    own = [parts[:, :, k] for k in range(len(names))]
+    path = own.pop() if names[-1] == AIR else jnp.zeros_like(empty)
+    if names[-1 - (names[-1] == AIR)] == BACKGROUND:
+        own[-1] = own[-1] + path - empty
+    found = [jnp.sum(part * camera.pixel_area()[:, :, None], axis=(0, 1)) for part in own]
+    return jnp.stack([*found, *([jnp.zeros_like(found[0])] if names[-1] == AIR else [])])
+
+
 @jax.jit
 def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, " band"]:
     return safe_sqrt(jnp.sum((standard_error * camera.pixel_area()[:, :, None]) ** 2, axis=(0, 1)))
@@ -129,6 +158,8 @@ def image_of(
     unresolved: Float[Array, " band"] | None,
     spectral: Float[Array, " band"] | None,
     outside: Float[Array, " band"],
+    components: tuple[str, ...],
+    parts: Float[Array, "row column component band"] | None,
 ) -> Image:
     """The image of one pass of `samples` rays per pixel; `orders` are those of each pixel's radiance."""
     area = camera.pixel_area()[:, :, None, None]
@@ -136,7 +167,8 @@ def image_of(
     taken = jnp.asarray(samples, jnp.int32)
     error = safe_sqrt(variance)
     outcome: Any = Outcome.samples_taken  # an enumeration, which types do not know
-    return Image(mean, error, empty, camera, bands, taken, outcome, whole, unresolved, spectral, outside)
+    about = whole, unresolved, spectral, outside, None, components, parts
+    return Image(mean, error, empty, camera, bands, taken, outcome, *about)
 
 
 def meets(image: Image, rtol: float) -> bool:
@@ -149,10 +181,10 @@ def joined(image: Image, more: Image) -> Image:
     taken = image.samples + more.samples
     own, other = (part.samples / taken for part in (image, more))
     error = jnp.sqrt((own * image.standard_error) ** 2 + (other * more.standard_error) ** 2)
-    radiance, empty, orders = jax.tree.map(
+    radiance, empty, orders, parts = jax.tree.map(
         lambda a, b: own * a + other * b,
-        (image.radiance, image.empty, image.orders),
-        (more.radiance, more.empty, more.orders),
+        (image.radiance, image.empty, image.orders, image.parts),
+        (more.radiance, more.empty, more.orders, more.parts),
     )
-    about = image.unresolved, image.spectral, image.outside, image.asked
+    about = image.unresolved, image.spectral, image.outside, image.asked, image.components, parts
     return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders, *about)

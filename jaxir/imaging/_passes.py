@@ -34,6 +34,7 @@ def render(
     rtol: float | None = None,
     max_samples: int = 4096,
     devices: Mesh | None = None,
+    components: str | None = None,
 ) -> Image:
     """Radiance image of a scene.
 
@@ -60,24 +61,35 @@ def render(
         devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
             `jax.distributed.initialize`, in many; every process gets the whole image. The numbers are those of one
             device; for more than `PARTS` = 8 devices and fewer than 8 full chunks they are drawn anew.
+        components: "sources" splits the radiance by where its light comes from (`Image.parts`): the skin's emission,
+            what it and particles send on of each source and of the surroundings, each plume, the background, the air.
+            "parts" splits the skin's emission by its parts, too. On the same paths, each for about an evaluation.
 
     Returns:
         The image. Memory beyond it is bounded by the rays of `TILES_AT_ONCE` tiles, 256 each.
 
     Raises:
         ValueError: wrong shapes, values out of range, an eye inside the scene, `rtol` inside jit, <= 0 or beyond
-            the precision in force.
+            the precision in force; components with `DiscreteOrdinates` of particles.
 
     Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
     geometry is seen as fixed.
     """
     first = prepare_image(
-        scene, camera, bands, samples=samples, key=key, method=method, rtol=rtol, max_samples=max_samples
+        scene,
+        camera,
+        bands,
+        samples=samples,
+        key=key,
+        method=method,
+        rtol=rtol,
+        max_samples=max_samples,
+        components=components,
     )
     planned = samples is None and rtol is not None
     samples = 8 if samples is None else samples
     if planned and rtol is not None:
-        found = plan_pass(first, rtol, max_samples, method is not None)
+        found = plan_pass(first._replace(components=None), rtol, max_samples, method is not None)
         samples, first = found.samples, first._replace(method=found.method)
     first = first._replace(parts=PARTS if devices is None else max(PARTS, devices.size))
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
@@ -126,6 +138,7 @@ def prepare_image(
     method: Method | None,
     rtol: float | None,
     max_samples: int,
+    components: str | None,
 ) -> Pass:
     """Check what `render` is asked and make its first pass ready; arguments and errors as there."""
     key = key_or_default(key)
@@ -136,7 +149,7 @@ def prepare_image(
     least = samples if samples is not None else 8 if rtol is None else FEW
     if max_samples < least:
         raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
-    return first_pass(scene, camera, bands, key, least, Method() if method is None else method)
+    return first_pass(scene, camera, bands, key, least, Method() if method is None else method, components)
 
 
 def top_up(image: Image, rtol: float, most: int) -> int:

@@ -22,7 +22,7 @@ from jaxir.imaging._devices import is_traced, over_items, shared_by
 from jaxir.imaging._left_out import Asked
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
-from jaxir.transport import Method, graded_cameras, solution_checks, with_scattered
+from jaxir.transport import Components, Method, components_of, graded_cameras, solution_checks, with_scattered
 
 
 class Signature(eqx.Module):
@@ -38,6 +38,9 @@ class Signature(eqx.Module):
             `Image.truncation` [view, band].
         spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
         asked: what it is the signature of, for `error_budget`; None where values were known only inside jit.
+        components: names of what `parts` holds, where `signature` was asked for components.
+        parts: the intensities by where their light comes from, see `Image.component_intensity`
+            [view, component, band] [W sr-1]; they add up to `intensity`.
     """
 
     azimuth: Float[Array, " view"]
@@ -48,6 +51,8 @@ class Signature(eqx.Module):
     truncation: Float[Array, "view band"]
     spectral: Float[Array, " band"] | None = None
     asked: Asked | None = None
+    components: tuple[str, ...] = eqx.field(static=True, default=())
+    parts: Float[Array, "view component band"] | None = None
 
     def error_budget(self, look: bool = True) -> ErrorBudget:
         """The intensities with all that is known of their errors, see `Image.error_budget`.
@@ -68,6 +73,7 @@ class Views(NamedTuple):
         strata: columns and rows of strata in a pixel.
         method: how radiance is found.
         aspect: azimuth and elevation [view, 2] [deg].
+        components: by which intensities are split; None for none.
     """
 
     lit: Lit
@@ -76,6 +82,7 @@ class Views(NamedTuple):
     strata: tuple[int, int]
     method: Method
     aspect: Array
+    components: Components | None = None
 
 
 def signature(
@@ -89,6 +96,7 @@ def signature(
     key: Key[Array, ""] | None = None,
     method: Method | None = None,
     devices: Mesh | None = None,
+    components: str | None = None,
 ) -> Signature:
     """Radiant intensity of a scene over aspects, all of them under one compilation.
 
@@ -106,6 +114,7 @@ def signature(
         key: random key.
         method: as `render`.
         devices: as `render`; views are shared out.
+        components: as `render`, for `Signature.parts`.
 
     Returns:
         The table.
@@ -124,6 +133,7 @@ def signature(
         samples=samples,
         key=key,
         method=Method() if method is None else method,
+        components=components,
     )
     index = np.arange(asked.aspect.shape[0], dtype=np.int32)
     mesh = shared_by(devices, index.size, "views")
@@ -136,12 +146,13 @@ def remembering(table: Signature, scene: Scene, views: Views) -> Signature:
     return table if is_traced((table, asked)) else dataclasses.replace(table, asked=asked)
 
 
-def whole_table(views: Views, found: tuple[Array, Array, Array]) -> Signature:
+def whole_table(views: Views, found: tuple[Array, ...]) -> Signature:
     """The table of what `view_intensity` found in all views."""
-    intensity, error, truncation = found
+    intensity, error, truncation, *parts = found
     azimuth, elevation = views.aspect.T
-    nodes = views.lit.nodes
-    return Signature(azimuth, elevation, intensity, error, nodes.names, truncation, nodes.error)
+    nodes, names = views.lit.nodes, () if views.components is None else views.components.names
+    own = nodes.names, truncation, nodes.error, None, names, parts[0] if parts else None
+    return Signature(azimuth, elevation, intensity, error, *own)
 
 
 def prepare_views(
@@ -154,13 +165,15 @@ def prepare_views(
     samples: int,
     key: Key[Array, ""] | None,
     method: Method,
+    components: str | None = None,
 ) -> Views:
     """Check what `signature` is asked and make it ready; arguments and errors as there."""
     aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, method)
     method = method.resolved(scene)
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away, method)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach), *solution_checks(lit)])
-    return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method, aspect)
+    split = components_of(scene, method, components)
+    return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method, aspect, split)
 
 
 def check_views(
@@ -172,11 +185,13 @@ def check_views(
     shape: tuple[int, int],
     samples: int,
     method: Method | None,
+    components: str | None,
 ) -> None:
     """Raise what `signature` would, before anything is computed; arguments and errors as there."""
     aspect, nodes, away = _checked(scene, views, bands, distance, Method() if method is None else method)
     pixel_strata(samples)
     resolved = (Method() if method is None else method).resolved(scene)
+    components_of(scene, resolved, components)
     eqx.filter_eval_shape(_prepared, scene, nodes, aspect, shape, away, resolved)  # parts that do not suit the nodes
     enforce(nodes, [eye_outside(_reach(scene, aspect, shape, away))])
 
@@ -210,12 +225,12 @@ def _prepared(
 
 
 @eqx.filter_jit
-def view_intensity(
-    views: Views, index: Int[Array, ""]
-) -> tuple[Float[Array, " band"], Float[Array, " band"], Float[Array, " band"]]:
-    """Contrast intensity of one view, its standard error, and the share left out."""
+def view_intensity(views: Views, index: Int[Array, ""]) -> tuple[Array, ...]:
+    """Contrast intensity of one view, its standard error, the share left out [band], and components if asked for."""
     camera = jax.tree.map(lambda leaf: leaf[index], views.cameras)
     key = jax.random.fold_in(views.key, index)
-    taken = Pass(views.lit, camera, key, jnp.zeros((), jnp.uint32), views.strata, views.method)
+    own = key, jnp.zeros((), jnp.uint32), views.strata, views.method
+    taken = Pass(views.lit, camera, *own, components=views.components)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
-    return image.radiant_intensity(), image.intensity_error(), image.truncation
+    parts = () if views.components is None else (image.component_intensity(),)
+    return image.radiant_intensity(), image.intensity_error(), image.truncation, *parts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -73,6 +74,11 @@ class CellMedium(AbstractScatterer):
         """See `AbstractScatterer.less`."""
         extinction, scattering = less_forward(self.extinction, self.scattering_coefficient, share)
         return dataclasses.replace(self, extinction=extinction, scattering_coefficient=scattering)
+
+    def brightened(self, factors: Sequence[Float[Array, ""]]) -> CellMedium:
+        """See `AbstractMedium.brightened`."""
+        (factor,) = factors
+        return dataclasses.replace(self, emission=self.emission * factor)
 
     def scattering_at(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
         """See `AbstractScatterer.scattering_at`."""

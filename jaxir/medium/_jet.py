@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -93,6 +93,11 @@ class JetMedium(AbstractScatterer):
         """See `AbstractScatterer.less`."""
         extinction, scattering = less_forward(self.extinction, self.scattering_coefficient, share)
         return dataclasses.replace(self, extinction=extinction, scattering_coefficient=scattering)
+
+    def brightened(self, factors: Sequence[Float[Array, ""]]) -> JetMedium:
+        """See `AbstractMedium.brightened`."""
+        (factor,) = factors
+        return dataclasses.replace(self, emission=self.emission * factor)
 
     def scattering_at(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
         """See `AbstractScatterer.scattering_at`. Differentiable in the jet and the points."""

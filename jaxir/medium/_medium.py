@@ -88,6 +88,10 @@ class AbstractMedium(eqx.Module):
     def less_forward(self, shares: Sequence[Float[Array, " node"]]) -> AbstractMedium:
         """The same, taking a share [node] of what each of `parts_with_particles` scatters as not scattered at all."""
 
+    @abc.abstractmethod
+    def brightened(self, factors: Sequence[Float[Array, ""]]) -> AbstractMedium:
+        """The same with a factor on the emission of each plume of which it is made, a single one's in a list of one."""
+
     @property
     def beam_points(self) -> tuple[Float[Array, "point 3"], Bool[Array, " point"]]:
         """Where `in_scattered` asks for the irradiance of a beam [point, 3] [m], and where that matters [point]."""

@@ -74,6 +74,10 @@ class MediumSum(AbstractMedium):
         """See `AbstractMedium.parts_with_particles`."""
         return tuple(one for part in self.parts for one in part.parts_with_particles)
 
+    def brightened(self, factors: Sequence[Float[Array, ""]]) -> MediumSum:
+        """See `AbstractMedium.brightened`: one factor for each part."""
+        return MediumSum(tuple(part.brightened((own,)) for part, own in zip(self.parts, factors, strict=True)))
+
     def less_forward(self, shares: Sequence[Float[Array, " node"]]) -> MediumSum:
         """See `AbstractMedium.less_forward`."""
         left = iter(shares)

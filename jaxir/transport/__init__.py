@@ -29,5 +29,12 @@ from jaxir.transport._paths import Segment as Segment
 from jaxir.transport._paths import Vertex as Vertex
 from jaxir.transport._trace import store_route as store_route
 from jaxir.transport._trace import trace as trace
+from jaxir.transport.components import AIR as AIR
+from jaxir.transport.components import BACKGROUND as BACKGROUND
+from jaxir.transport.components import KINDS as KINDS
+from jaxir.transport.components import Components as Components
+from jaxir.transport.components import components_of as components_of
+from jaxir.transport.components import empty_components as empty_components
+from jaxir.transport.components import evaluate_components as evaluate_components
 from jaxir.transport.ordinates import error_of_bands as error_of_bands
 from jaxir.transport.ordinates import solution_checks as solution_checks

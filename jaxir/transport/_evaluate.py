@@ -70,6 +70,11 @@ def evaluate_orders(lit: Lit, paths: Paths) -> Orders:
     return Orders(lit.through_air(found.radiance), lit.dimmed_by_air(found.last), lit.dimmed_by_air(found.before))
 
 
+def radiance_before_air(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:
+    """`evaluate` without the air [ray, node], of a scene that is ready, see `with_scattered`."""
+    return _along_paths(lit, paths).radiance
+
+
 def with_scattered(lit: Lit, method: Method) -> Lit:
     """The scene with what its particles scatter, where the method finds that on a lattice; else as it is.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,18 @@ def _columns(errors: ErrorBudget | None) -> dict[str, np.ndarray]:
     return {f"{name}_error": np.asarray(values) for name, values in found.items() if values is not None}
 
 
+def _split(result: Image | Signature) -> dict[str, np.ndarray]:
+    """Components by the name that they have in files: radiances of an image, and intensities; none without."""
+    if result.parts is None:
+        return {}
+    if isinstance(result, Signature):
+        return {"component_intensity": np.asarray(result.parts)}
+    return {
+        "component_radiance": np.asarray(result.parts),
+        "component_intensity": np.asarray(result.component_intensity()),
+    }
+
+
 def save_image(
     path: str | os.PathLike, image: Image, conditions: Conditions | None = None, errors: ErrorBudget | None = None
 ) -> None:
@@ -36,7 +49,9 @@ def save_image(
 
     The arrays: radiance and standard_error [row, column, band] in W m-2 sr-1, empty [row or 1, column or 1, band],
     bands, pixel [2] in m, inverse_range in m-1, frame [3, 3] and target [3] of the camera, unit, and the conditions
-    as JSON; with `errors` intensity, sampling_error, spectral_error and so on to total_error [band] in W sr-1.
+    as JSON; with `errors` intensity, sampling_error, spectral_error and so on to total_error [band] in W sr-1; of an
+    image by component components, component_radiance [row, column, component, band] and component_intensity
+    [component, band].
 
     Args:
         path: the file, ending in .npz.
@@ -49,6 +64,8 @@ def save_image(
     """
     require_suffix(path, ".npz")
     more: dict[str, Any] = {} if errors is None else {"intensity": np.asarray(errors.intensity), **_columns(errors)}
+    if image.parts is not None:
+        more |= {"components": np.array(image.components), **_split(image)}
     with written_whole(path) as part, part.open("wb") as stream:
         np.savez_compressed(
             stream,
@@ -103,6 +120,7 @@ def save_netcdf(
     the plane through the target [m]; a signature holds intensity and standard_error [view, band] with azimuth and
     elevation [view] in degrees. Every variable has its `units`; the conditions are attributes of the file. With
     `errors` there are sampling_error, spectral_error and so on to total_error, of an image [band] with its intensity.
+    By component there is component_intensity [..., component, band], and component_radiance of an image.
 
     Args:
         path: the file, ending in .nc.
@@ -124,6 +142,11 @@ def save_netcdf(
         axes = ("view", "band")[-errors.intensity.ndim :]
         for name, values in {"intensity": np.asarray(errors.intensity), **_columns(errors)}.items():
             data[name] = axes, values, {"units": INTENSITY}
+    for name, values in _split(result).items():
+        radiance = name == "component_radiance"
+        axes = ("row", "column", "component", "band") if radiance else ("view", "component", "band")[-values.ndim :]
+        data[name] = axes, values, {"units": RADIANCE if radiance else INTENSITY}
+        data.coords["component"] = "component", list(result.components)
     data.attrs.update(conditions or {})
     with written_whole(path) as part:
         data.to_netcdf(part, engine="scipy")
@@ -177,7 +200,8 @@ def save_signature(
 ) -> None:
     """Write a signature as CSV: azimuth_deg, elevation_deg, then intensity and standard error of every band in W/sr.
 
-    Conditions come first, as comments: lines `# name: value`. With `errors` every band has its other errors, too.
+    Conditions come first, as comments: lines `# name: value`. With `errors` every band has its other errors, too, and
+    a signature by component its components, as `MWIR_skin_W_per_sr`.
 
     Raises:
         ValueError: another ending than .csv, or a folder that does not exist.
@@ -186,6 +210,9 @@ def save_signature(
     others = {name: values for name, values in _columns(errors).items() if name != "sampling_error"}
     named = {"": signature.intensity, "standard_error_": signature.standard_error}
     named |= {f"{name}_": values for name, values in others.items()}
+    if signature.parts is not None:
+        for index, name in enumerate(signature.components):
+            named[re.sub(r"\W+", "_", name) + "_"] = signature.parts[:, index]
     columns = [f"{band}_{what}W_per_sr" for band in signature.bands for what in named]
     values = np.stack([np.asarray(part) for part in named.values()], axis=-1)
     with written_whole(path) as part, part.open("w", newline="", encoding="utf-8") as stream:

@@ -162,6 +162,10 @@ class Scattered(AbstractMedium):
         """See `AbstractMedium.parts_with_particles`: none that has not been dealt with."""
         return ()
 
+    def brightened(self, factors: Any) -> AbstractMedium:
+        """See `AbstractMedium.brightened`: not of light that was solved for together."""
+        raise NotImplementedError("Scattered: it was solved for all light together")
+
     def less_forward(self, shares: Any) -> AbstractMedium:
         """See `AbstractMedium.less_forward`."""
         return self

@@ -1,6 +1,9 @@
 """Images and tables: every format read back, nothing half written."""
 
+import dataclasses
+
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -42,6 +45,34 @@ def test_signature_table(tmp_path):
     held = np.array([[float(cell) for cell in row.split(",")] for row in rows])
     np.testing.assert_allclose(held[:, 2], table.intensity[:, 0], rtol=1e-6)
     np.testing.assert_allclose(held[:, :2], [(0.0, 0.0), (30.0, -10.0)], rtol=1e-6)
+
+
+def test_components_are_written_by_name(image, tmp_path):
+    xarray = pytest.importorskip("xarray")
+    share = np.array([0.75, 0.25], np.float32)[None, None, :, None]
+    split = dataclasses.replace(
+        image, components=("skin, a b", "Sun"), parts=jnp.asarray(share * np.asarray(image.radiance)[:, :, None])
+    )
+    save_image(tmp_path / "image.npz", split)
+    save_netcdf(tmp_path / "image.nc", split)
+    with np.load(tmp_path / "image.npz") as held, xarray.open_dataset(tmp_path / "image.nc", engine="scipy") as data:
+        assert held["components"].tolist() == data.component.values.tolist() == ["skin, a b", "Sun"]
+        for name in ("component_radiance", "component_intensity"):
+            np.testing.assert_array_equal(held[name], data[name])
+        np.testing.assert_allclose(held["component_intensity"].sum(axis=0), image.radiant_intensity(), rtol=1e-6)
+        assert data.component_radiance.dims == ("row", "column", "component", "band")
+    angles, value = jnp.asarray([0.0, 30.0]), jnp.asarray([[1.0], [2.0]])
+    parts = jnp.stack([0.75 * value, 0.25 * value], axis=1)
+    table = jaxir.Signature(
+        angles, 0 * angles, value, 0 * value, ("LWIR",), 0 * value, None, None, split.components, parts
+    )
+    save_signature(tmp_path / "table.csv", table)
+    save_netcdf(tmp_path / "table.nc", table)
+    header, first, second = (tmp_path / "table.csv").read_text().splitlines()
+    assert header.split(",")[4:] == ["LWIR_skin_a_b_W_per_sr", "LWIR_Sun_W_per_sr"]
+    assert second.split(",")[4:] == ["1.5", "0.5"]
+    with xarray.open_dataset(tmp_path / "table.nc", engine="scipy") as data:
+        np.testing.assert_array_equal(data.component_intensity, parts)
 
 
 def test_errors_are_written_part_by_part(image, tmp_path):

@@ -1,0 +1,174 @@
+"""Radiance split by where its light comes from.
+
+Radiance is linear in everything that shines: in the emission of the skin and of each plume, in every source, in what
+surrounds the scene and in the radiance of the air. So on the same paths
+
+    L = sum_c L_c,
+
+with L_c the radiance while all but one of them are dark; the sum holds to rounding, whatever the number of samples.
+One program serves all components: they differ by factors alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxir._arrays import placed
+from jaxir._fields import brightened
+from jaxir.scene import Lit, Scene
+from jaxir.scene.light import AbstractLight, backgrounds
+from jaxir.transport._evaluate import radiance_before_air
+from jaxir.transport._method import Method
+from jaxir.transport._paths import Paths
+
+KINDS = ("sources", "parts")
+BACKGROUND, AIR = "background", "air"
+
+
+class Components(eqx.Module):
+    """Which emission each component keeps: factors 0 or 1.
+
+    Attributes:
+        skin: of the faces [component, face].
+        sources: of the sources, backgrounds among them, and of the background as a light [component, source].
+        plumes: [component, plume].
+        ambient: of `Method.ambient` [component].
+        names: of these components, and then of what is seen behind the scene and of the air, where they are.
+    """
+
+    skin: Float[Array, "component face"]
+    sources: Float[Array, "component source"]
+    plumes: Float[Array, "component plume"]
+    ambient: Float[Array, " component"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
+def components_of(scene: Scene, method: Method, kind: str | None) -> Components | None:
+    """The components of a scene's radiance; None without a kind.
+
+    The emission of the skin, as "skin", or with the kind "parts" one of each part of it, "skin, nozzle"; the light of
+    every source that skin reflects and particles scatter, by the source's class; "surroundings", the same of all
+    backgrounds; the emission of every plume; the background as it is seen; the air's own radiance. Several of a class
+    are numbered.
+
+    Args:
+        scene: the scene.
+        method: how light is found.
+        kind: "sources" or "parts".
+
+    Raises:
+        ValueError: another kind, or `DiscreteOrdinates` in a scene with particles, which solve for all light together.
+    """
+    if kind is None:
+        return None
+    if kind not in KINDS:
+        raise ValueError(f"components: got {kind!r}, expected {' or '.join(KINDS)}, or None")
+    if method.scattering is not None and scene.scatters:
+        raise ValueError(
+            "components: got Method.scattering = DiscreteOrdinates, which solves for all light together, expected None"
+        )
+    lights: tuple[AbstractLight, ...] = scene.sources
+    around = backgrounds(lights)
+    shining = [i for i, light in enumerate(lights) if not any(light is one for one in around)]
+    behind = [i for i in range(len(lights)) if i not in shining] + (
+        [len(lights)] if scene.background is not None else []
+    )
+    faces = 0 if scene.skin is None else scene.skin.mesh.count
+    count = len(lights) + (scene.background is not None)
+    rows: list[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]] = []
+
+    def row(name: str, skin: Any = (), sources: Any = (), plumes: Any = (), ambient: float = 0.0) -> None:
+        kept = np.zeros(faces), np.zeros(count), np.zeros(len(scene.plumes))
+        for values, held in zip(kept, (skin, sources, plumes), strict=True):
+            values[np.asarray(held, int)] = 1
+        rows.append((name, *kept, ambient))
+
+    if scene.skin is not None:
+        part = np.asarray(scene.skin.part)
+        own = [(name, np.flatnonzero(part == i)) for i, name in enumerate(scene.skin.part_names)]
+        split = [(f"skin, {name}", held) for name, held in own if held.size]
+        for name, held in split if kind == "parts" else [("skin", np.arange(faces))]:
+            row(name, skin=held)
+    for name, index in zip(_numbered([type(lights[i]).__name__ for i in shining]), shining, strict=True):
+        row(name, sources=[index])
+    if behind:
+        row("surroundings", sources=behind)
+    for name, index in zip(_numbered(["plume"] * len(scene.plumes)), range(len(scene.plumes)), strict=True):
+        row(name, plumes=[index])
+    if method.ambient is not None:
+        row("ambient", ambient=1.0)
+    seen = [BACKGROUND] if scene.background is not None else []
+    seen += [AIR] if scene.atmosphere is not None else []
+    names, *columns = zip(*rows, strict=True)
+    skin, sources, plumes, ambient = (placed(np.stack(column).astype(np.float32)) for column in columns)
+    return Components(skin, sources, plumes, ambient, (*names, *seen))
+
+
+def _numbered(names: Sequence[str]) -> list[str]:
+    """Names, with a number behind those that occur more than once."""
+    return [f"{name} {names[:i].count(name)}" if names.count(name) > 1 else name for i, name in enumerate(names)]
+
+
+def evaluate_components(lit: Lit, paths: Paths, components: Components) -> Float[Array, "ray component node"]:
+    """The radiance of `evaluate` by component [ray, component, node] [W m-2 sr-1]; it adds up to that to rounding.
+
+    Differentiable as `evaluate`.
+    """
+    held = (components.skin, components.sources, components.plumes, components.ambient)
+    dtype = lit.nodes.weight.dtype
+
+    def one(kept: tuple[Array, ...]) -> Array:
+        skin, sources, plumes, ambient = (factor.astype(dtype) for factor in kept)
+        method = paths.method
+        if method.ambient is not None:
+            method = dataclasses.replace(method, ambient=method.ambient * ambient)
+        dimmed = _shining(lit, skin, sources, plumes)
+        return lit.dimmed_by_air(radiance_before_air(dimmed, dataclasses.replace(paths, method=method)))
+
+    parts = [*lax.map(one, held)]
+    if lit.scene.background is not None:
+        parts.append(lit.dimmed_by_air(_background(lit, paths)))
+    if lit.air is not None:
+        parts.append(jnp.broadcast_to(lit.air.path_radiance[None], (paths.length.shape[0], lit.nodes.count)))
+    return jnp.stack(parts, axis=1)
+
+
+def empty_components(lit: Lit, components: Components, direction: Float[Array, " 3"]) -> Float[Array, "component node"]:
+    """What each component shows in a direction in which the scene is not [component, node]."""
+    dark = jnp.zeros((len(components.names), lit.nodes.count), lit.nodes.weight.dtype)
+    if lit.scene.background is not None:
+        dark = dark.at[components.names.index(BACKGROUND)].set(lit.dimmed_by_air(lit.background(direction[None]))[0])
+    return dark if lit.air is None else dark.at[components.names.index(AIR)].set(lit.air.path_radiance)
+
+
+def _shining(lit: Lit, skin: Array, sources: Array, plumes: Array) -> Lit:
+    """The scene with factors on all that shines, its background not seen but lighting what it lights."""
+    scene = lit.scene
+    every = scene.sources if scene.background is None else (*scene.sources, scene.background)
+    lights = tuple(brightened(light, sources[i]) for i, light in enumerate(every))
+    order = [next(i for i, one in enumerate(scene.sources) if one is beam) for beam in scene.summed_beams]
+    beams = tuple(beam * sources[i] for i, beam in zip(order, lit.beams, strict=True))
+    return Lit(
+        scene=Scene(scene.skin, scene.plumes, lights, None, scene.atmosphere),
+        nodes=lit.nodes,
+        blackbody=None if lit.blackbody is None else lit.blackbody * skin[:, None],
+        medium=None if lit.medium is None else lit.medium.brightened(tuple(plumes)),
+        air=lit.air,
+        beams=beams,
+    )
+
+
+def _background(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:
+    """The background behind the plumes, where rays meet no skin, before the air."""
+    rays = paths.rays
+    leaves = jnp.isinf(paths.length)
+    seen = jnp.where(leaves[:, None], lit.background(rays.direction), 0)
+    return seen * lit.transmittance(rays.origin, rays.direction, jnp.where(leaves, paths.length, 0))

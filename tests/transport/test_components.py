@@ -1,0 +1,116 @@
+"""Radiance by component: it adds up, and every part is what it is called."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir.geometry import Rays
+from jaxir.medium import MediumSum
+from jaxir.transport import Components, components_of, evaluate_components
+from tests.scenes import box_mesh, gray_box
+
+NODES = jaxir.gray_nodes((jaxir.MWIR,))
+SUN, LAMP = jaxir.ParallelSource((0.0, 0.0, -1.0), 10.0), jaxir.PointSource((3.0, 3.0, 3.0), 500.0)
+DISC = jaxir.DiscSource((0.0, 0.0, 4.0), (0.0, 0.0, -1.0), 1.0, 90.0)
+SKY = jaxir.ElevationTable([-90, 0, 0, 90], [30.0, 30.0, 10.0, 2.0])
+SKIN = jaxir.Skin(box_mesh(), 500.0, jaxir.Lambert(0.6), np.arange(12) // 6, ("sides", "ends"))
+CLOUD = jaxir.GridPlume(
+    jaxir.Grid((-3.0, -0.5, -0.5), (0.5, 0.5, 0.5), (4, 2, 2)),
+    800.0,
+    jaxir.GrayGas(0.4),
+    jaxir.GrayParticles(0.3, 0.8, jaxir.Isotropic()),
+)
+
+
+def rays(count=64):
+    """Rays from two places towards points in a box about the scene, of which some meet nothing."""
+    u = np.random.default_rng(1).uniform(-1, 1, (count, 3))
+    origin = np.where(u[:, :1] > 0, np.array([[1.0, 8.0, 3.0]]), np.array([[-6.0, -6.0, -6.0]]))
+    direction = u * np.array([3.0, 1.0, 1.0]) - np.array([1.0, 0.0, 0.0]) - origin
+    return Rays(jnp.asarray(origin), jnp.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True)))
+
+
+def test_components_add_up_on_the_same_paths(x64):
+    nodes = jaxir.gray_nodes((jaxir.MWIR,))
+    air = jaxir.FixedPath(0.7, 2.0)
+    scene = jaxir.Scene(SKIN, CLOUD, (SUN, LAMP, DISC, jaxir.UniformBackground(1.0)), SKY, air)
+    scene = jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype == jnp.float32 else leaf, scene)
+    method = jaxir.Method(orders=0, ambient=1.0).resolved(scene)
+    split = components_of(scene, method, "parts")
+    assert split.names == (
+        *("skin, sides", "skin, ends", "ParallelSource", "PointSource", "DiscSource", "surroundings", "plume"),
+        *("ambient", "background", "air"),
+    )
+
+    @jax.jit
+    def both(scene):
+        lit, paths = scene.on(nodes), jaxir.trace(scene, rays(), method, jax.random.key(1))
+        return jaxir.evaluate(lit, paths), evaluate_components(lit, paths, split), paths.face
+
+    whole, parts, face = both(scene)
+    np.testing.assert_allclose(parts.sum(axis=1), whole, rtol=1e-13)
+    assert np.all(parts >= 0) and np.all(np.asarray(parts).max(axis=(0, 2)) > 0)
+    held = dict(zip(split.names, np.moveaxis(np.asarray(parts)[..., 0], 1, 0), strict=True))
+    free = np.asarray(face) < 0
+    assert free.any() and not free.all()
+    assert np.all(held["background"][~free] == 0) and np.all(held["background"][free] > 0)
+    np.testing.assert_allclose(held["air"], 2.0)
+
+
+def test_an_image_tells_components_and_their_contrast():
+    """A Lambert plate of 1 m2 seen from in front: every part by hand."""
+    vertices = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]])
+    mesh = jaxir.Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    sun = jaxir.ParallelSource((-1.0, 0.0, 0.0), 10.0)
+    skin = jaxir.Skin(mesh, 400.0, jaxir.Lambert(0.6), [0, 1], ("a", "b"))
+    scene = jaxir.Scene(skin, (), sun, jaxir.UniformBackground(3.0), jaxir.FixedPath(0.5, 0.25))
+    camera = jaxir.orthographic_camera(0.0, 0.0, 0.125, (16, 16))
+    image = jaxir.render(scene, camera, jaxir.MWIR, samples=2, components="parts")
+    assert image.components == ("skin, a", "skin, b", "ParallelSource", "surroundings", "background", "air")
+    black = float(jaxir.band_radiance(jnp.asarray(400.0), NODES)[0])
+    want = 0.5 * np.array([0.6 * black, 0.4 * 10 / np.pi, 0.4 * 3.0, -3.0, 0.0])
+    first, second, *others = image.component_intensity()[:, 0].tolist()
+    np.testing.assert_allclose([first + second, *others], want, rtol=2e-5, atol=1e-6)
+    assert first == pytest.approx(second, rel=0.1)
+    np.testing.assert_allclose(image.component_intensity().sum(axis=0), image.radiant_intensity(), rtol=1e-5)
+    np.testing.assert_allclose(image.parts.sum(axis=2), image.radiance, rtol=1e-6)
+    np.testing.assert_allclose(image.parts[0, 0, :, 0], [0, 0, 0, 0, 1.5, 0.25], rtol=1e-6)  # where there is no plate
+    with pytest.raises(ValueError, match="Image.parts: got none, expected render"):
+        dataclasses.replace(image, parts=None).component_intensity()
+
+
+def test_every_plume_has_a_factor_of_its_own():
+    one, other = (gray_box((1.0, 1.0, 1.0), k).medium(NODES) for k in (0.5, 2.0))
+    point = jnp.zeros((1, 3))
+    dark = MediumSum((one, other)).brightened((jnp.float32(0.0), jnp.float32(1.0)))
+    extinction, emission = dark.coefficients(point)
+    np.testing.assert_allclose(extinction, 2.5)
+    np.testing.assert_allclose(emission, other.coefficients(point)[1])
+
+
+def test_names_tell_one_of_a_kind_from_several():
+    lights = (SUN, LAMP, SUN)
+    plumes = (gray_box((1.0, 1.0, 1.0), 0.5), gray_box((1.0, 1.0, 1.0), 0.5))
+    split = components_of(jaxir.Scene(SKIN, plumes, lights), jaxir.Method(), "sources")
+    assert isinstance(split, Components)
+    assert split.names == ("skin", "ParallelSource 0", "PointSource", "ParallelSource 1", "plume 0", "plume 1")
+    np.testing.assert_array_equal(
+        np.asarray(split.sources), np.eye(3)[[0, 0, 1, 2, 0, 0]] * [[0], [1], [1], [1], [0], [0]]
+    )
+    assert components_of(jaxir.Scene(SKIN), jaxir.Method(), None) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "method", "message"),
+    [
+        ("all", jaxir.Method(), "components: got 'all', expected sources or parts, or None"),
+        ("sources", jaxir.Method(scattering=jaxir.DiscreteOrdinates()), "components: got Method.scattering = Discrete"),
+    ],
+)
+def test_what_cannot_be_split_is_refused(kind, method, message):
+    with pytest.raises(ValueError, match=message):
+        components_of(jaxir.Scene(SKIN, CLOUD), method, kind)
