@@ -1,7 +1,10 @@
 """The command line: files written whole and labelled, one line and a status for whatever is wrong."""
 
+import hashlib
+import importlib
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -14,6 +17,9 @@ import trimesh
 
 import jaxir
 from jaxir.command_line import main, run
+from jaxir.command_line._html import Page
+from jaxir.command_line._report import hashes, write_signature
+from jaxir.io.scene_file import load_scene
 from tests.io.scene_file.scene_text import TEXT, write_obj, write_scene
 from tests.scenes import box_mesh
 
@@ -63,6 +69,55 @@ def test_tiff_and_pictures_are_there(rendered):
     for name in ("image_apparent.png", "table.png"):
         assert (rendered / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert not [path for path in rendered.iterdir() if path.name.startswith(".")]
+
+
+BARE = TEXT[: TEXT.index("[background]")] + TEXT[TEXT.index("[camera]") : TEXT.index("[signature]")]
+
+
+def test_a_report_holds_pictures_components_assumptions_and_hashes(tmp_path, capsys):
+    """One page, nothing outside it; its components add up to the intensity of its budget."""
+    scene = write_scene(tmp_path, BARE)
+    assert main(["report", str(scene), "-o", str(tmp_path / "r.html")]) == 0
+    page = (tmp_path / "r.html").read_text()
+    assert page.count("<img ") == page.count("data:image/png;base64,") == 6 and "http" not in page
+    said = (
+        "What was assumed",
+        "SHA-256",
+        "ParallelSource",
+        "no air",
+        "Error budget",
+        "jax ",
+        "There is nothing around",
+    )
+    assert [words for words in said if words not in page] == []
+    assert hashlib.sha256(scene.read_bytes()).hexdigest() in page
+    table = re.search(r"<tr><th>component</th>.*?</table>", page)[0]
+    rows = [[float(x) for x in re.findall(r"<td>([-.e\d+]+)</td>", row)] for row in table.split("<tr>")[2:]]
+    np.testing.assert_allclose(np.sum(rows[:-1], axis=0), rows[-1], rtol=1e-3)
+    empty = write_scene(tmp_path, TEXT[: TEXT.index("[camera]")], "empty.toml")
+    assert main(["report", str(empty)]) == 1
+    assert "got neither camera nor signature.views, expected one of them" in capsys.readouterr().err
+
+
+def test_a_signature_in_a_report_is_a_row_for_each_view(tmp_path):
+    read = load_scene(write_scene(tmp_path, BARE))
+    angle, value = jnp.arange(0.0, 450.0), jnp.ones((450, 1))
+    parts = jnp.stack([0.75 * value, 0.25 * value], axis=1)
+    table = jaxir.Signature(angle, 0 * angle, value, 0 * value, ("A<B",), 0 * value, None, None, ("skin", "Sun"), parts)
+    page = Page("a table")
+    write_signature(page, read, table)
+    assert str(page).count("<tr>") == 401 and "The first 400 of 450 views" in str(page)
+    assert "<th>A&lt;B, skin</th>" in str(page) and "<td>0.75</td><td>0.25</td>" in str(page)
+
+
+def test_hashes_are_those_of_every_file_that_is_named(tmp_path):
+    write_obj(tmp_path / "b.obj", ("a",))
+    write_scene(
+        tmp_path, 'bands = ["MWIR"]\n[skin]\nmesh = { path = "b.obj", unit = "m" }\n[x]\npath = ["b.obj", "no"]\n'
+    )
+    found = hashes(tmp_path / "scene.toml")
+    assert list(found) == ["scene.toml", "b.obj", "no"] and found["no"] == "a folder or missing"
+    assert found["b.obj"] == hashlib.sha256((tmp_path / "b.obj").read_bytes()).hexdigest()
 
 
 def test_afsim_s_table_is_that_of_the_source_with_azimuth_to_the_right(rendered):
@@ -140,12 +195,13 @@ def test_the_process_ends_with_a_status_and_without_traceback(tmp_path):
     assert ran.returncode == 1 and ran.stderr.count("\n") == 1 and "scene.toml: not readable as TOML" in ran.stderr
 
 
-@pytest.mark.parametrize("command", ["render", "signature", "show"])
+@pytest.mark.parametrize("command", ["render", "signature", "show", "report"])
 def test_help_names_the_formats(command, capsys):
     with pytest.raises(SystemExit) as ended:
         main([command, "--help"])
     said = capsys.readouterr().out
-    assert ended.value.code == 0 and "formats, by the ending of FILE" in said and ".png" in said
+    assert ended.value.code == 0 and "formats, by the ending of FILE" in said
+    assert (".html" if command == "report" else ".png") in said
 
 
 SCANNED = """
@@ -238,4 +294,5 @@ def test_the_command_ends_with_the_status_of_main(monkeypatch, capsys):
         run()
     assert "no_scene.toml" in capsys.readouterr().err
     project = tomllib.loads((EXAMPLES.parent / "pyproject.toml").read_text())["project"]
-    assert project["scripts"] == {"jaxir": f"{run.__module__}:{run.__name__}"}
+    module, _, name = project["scripts"]["jaxir"].partition(":")
+    assert getattr(importlib.import_module(module), name) is run

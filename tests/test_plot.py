@@ -1,5 +1,6 @@
 """Plots show the numbers they are given; without matplotlib they say what to install."""
 
+import dataclasses
 import sys
 
 import jax.numpy as jnp
@@ -117,10 +118,84 @@ def test_a_scene_is_drawn_with_all_that_it_holds():
     camera = jaxir.perspective_camera(90.0, 0.0, 1000.0, 1e-3, (4, 8))
     jet = jaxir.JetPlume((-1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.5, 900.0, 300.0, jaxir.GrayGas(1.0))
     for plume, label in ((jet, "jet"), (gray_box((1.0, 2.0, 3.0), 1.0), "plume, 4 x 3 x 5 cells")):
-        axis = plot.scene_view(jaxir.Scene(plate(), plume, (sun, lamp)), {"side": camera}).axes[0]
-        assert [text.get_text() for text in axis.get_legend().get_texts()] == ["skin, 2 faces", label]
+        figure = plot.scene_view(jaxir.Scene(plate(), plume, (sun, lamp)), {"side": camera})
+        axis = figure.axes[0]
+        assert [text.get_text() for text in figure.legends[0].get_texts()] == ["skin, 2 faces", label]
         assert {text.get_text() for text in axis.texts} == {"side, 1000 m", "ParallelSource"}
         assert len(axis.collections) >= 3 and axis.get_xlim()[1] - axis.get_xlim()[0] >= 8.0
+
+
+def test_faces_have_the_colour_of_their_part_or_temperature():
+    two = jaxir.Skin(plate().mesh, [300.0, 600.0], jaxir.Lambert(0.5), [1, 3], ("none", "wing", "gone", "fin"))
+    for colour, axes in (("part", 1), ("temperature", 2)):
+        figure = plot.scene_view(jaxir.Scene(two), colour=colour)
+        figure.canvas.draw()
+        first, second = figure.axes[0].collections[0].get_facecolors()
+        assert len(figure.axes) == axes and not np.allclose(first, second)
+    names = [text.get_text() for text in plot.scene_view(jaxir.Scene(two)).legends[0].get_texts()]
+    assert names == ["wing, 1 faces", "fin, 1 faces"]
+    with pytest.raises(ValueError, match="colour: got 'red', expected part or temperature"):
+        plot.scene_view(jaxir.Scene(two), colour="red")
+
+
+def test_an_image_says_band_aspect_range_and_quantity():
+    figure = plot.radiance_panels({"dim": image((1.0, 5.0))}, quantity="contrast", scale="linear", limits=(0.0, 9.0))
+    axis = figure.axes[0]
+    assert axis.get_title() == "MWIR, dim\nazimuth 0°, elevation 0°, from afar"
+    assert axis.get_xlabel() == "to the right [m]" and axis.get_ylabel() == "up [m]"
+    assert (axis.images[0].norm.vmin, axis.images[0].norm.vmax) == (0.0, 9.0)
+    assert "that without the scene" in figure.get_suptitle()
+    near = jaxir.perspective_camera(90.0, 30.0, 5000.0, 1e-5, (4, 6))
+    seen = plot.radiance_image(dataclasses.replace(image((1.0, 5.0)), camera=near)).axes[0].get_title()
+    assert seen == "MWIR\nazimuth 90°, elevation 30°, 5 km"
+    for options, message in (
+        ({"quantity": "power"}, "quantity: got 'power', expected radiance or contrast"),
+        ({"scale": "dB"}, "scale: got 'dB', expected auto, log, linear"),
+        ({"limits": "mine"}, "limits: got 'mine', expected shared, own"),
+        ({"limits": (2.0, 1.0)}, r"limits: got \(2.0, 1.0\), expected the lower value first"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            plot.radiance_image(image((1.0, 5.0)), **options)
+    with pytest.raises(ValueError, match="scale: got log for values up to 0, expected some above 0"):
+        plot.radiance_image(image((0.0, 0.0)), scale="log")
+
+
+def test_polar_plots_have_the_nose_on_top_and_bands_of_two_errors():
+    around = np.arange(0.0, 360.0, 30.0)
+    table = signature(around, 0 * around, 100 + 0 * around)
+    table = dataclasses.replace(table, standard_error=0.05 * table.intensity)
+    for scale, low, high in (("log", 90, 110), ("linear", 90, 110), ("dB", 10 * np.log10(90), 10 * np.log10(110))):
+        figure = plot.polar_signature(table, scale=scale)
+        axis = figure.axes[0]
+        radius = axis.collections[0].get_paths()[0].vertices[:, 1]
+        assert (radius.min(), radius.max()) == pytest.approx((max(low, 0), high), rel=0.06)
+        assert axis.get_theta_offset() == pytest.approx(np.pi / 2) and axis.get_theta_direction() == 1
+        assert len(figure.legends) == 1 and axis.get_legend() is None  # outside
+    with pytest.raises(ValueError, match="scale: got 'auto', expected log, linear, dB"):
+        plot.polar_signature(table, scale="auto")
+
+
+def test_components_are_drawn_with_their_sum():
+    whole = image((4.0, 8.0))
+    share = jnp.asarray([0.75, 0.25, 0.0])[None, None, :, None]
+    split = dataclasses.replace(whole, components=("skin", "Sun", "plume"), parts=share * whole.radiance[:, :, None])
+    axis = plot.component_bars(split).axes[0]
+    np.testing.assert_allclose([bar.get_width() for bar in axis.patches], [18.0, 6.0, 0.0, 24.0])  # of 6 m2
+    assert [text.get_text() for text in axis.get_yticklabels()] == ["skin", "Sun", "plume", "sum"]
+    titles = [axis.get_title().split("\n")[0] for axis in plot.component_panels(split).axes]
+    assert titles[:6] == ["MWIR, all", "LWIR, all", "MWIR, skin", "LWIR, skin", "MWIR, Sun", "LWIR, Sun"]
+    table = signature([0.0, 30.0, 0.0], [0.0, 0.0, 40.0], [4.0, 8.0, 9.0])
+    parts = jnp.asarray([0.75, 0.25])[None, :, None] * table.intensity[:, None]
+    table = dataclasses.replace(table, components=("skin", "Sun"), parts=parts)
+    lines = plot.component_signature(table).axes[0].get_lines()
+    np.testing.assert_allclose(lines[0].get_ydata(), [4.0, 8.0])
+    np.testing.assert_allclose(lines[1].get_ydata() + lines[2].get_ydata(), [4.0, 8.0])
+    for draw in (
+        lambda: plot.component_panels(whole),
+        lambda: plot.component_signature(signature([0.0], [0.0], [1.0])),
+    ):
+        with pytest.raises(ValueError, match="parts: got none, expected"):
+            draw()
 
 
 def test_without_matplotlib_the_error_says_what_to_install(monkeypatch):

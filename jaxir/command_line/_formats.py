@@ -1,0 +1,116 @@
+"""Kinds of files that commands write."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxir import plot
+from jaxir.imaging import ErrorBudget, Image, Signature
+from jaxir.io._files import written_whole
+from jaxir.io.result import (
+    Conditions,
+    require_suffix,
+    save_afsim,
+    save_image,
+    save_netcdf,
+    save_signature,
+    save_tiff,
+)
+
+
+class Format(NamedTuple):
+    """A kind of file: what is said of it, the package that it needs with its extra, and how it is written."""
+
+    said: str
+    needs: tuple[str, str] | None
+    save: Callable[..., None]
+
+
+def save_figure(path: Path, figure: Any) -> None:
+    """Write a figure as PNG."""
+    require_suffix(path, ".png")
+    with written_whole(path) as part:
+        figure.savefig(part, dpi=120, format="png")
+
+
+def image_figure(image: Image, scale: str) -> Any:
+    """The picture of an image, or of its components."""
+    if image.parts is not None:
+        return plot.component_panels(image, scale=scale)
+    return plot.radiance_image(image, scale=scale)
+
+
+def signature_figure(table: Signature, scale: str) -> Any:
+    """The picture of a signature, or of its components."""
+    return plot.polar_signature(table, scale=scale) if table.parts is None else plot.component_signature(table)
+
+
+RENDER_FORMATS = {
+    ".npz": Format("every number, for numpy", None, save_image),
+    ".tif": Format(
+        "float32 TIFF, a page per band (extra image)",
+        ("tifffile", "image"),
+        lambda path, image, conditions, errors: save_tiff(path, image, conditions),
+    ),
+    ".nc": Format("NetCDF with units and conditions (extra netcdf)", ("xarray", "netcdf"), save_netcdf),
+    ".png": Format(
+        "picture with colour bar, and one of each component (extra plot)",
+        ("matplotlib", "plot"),
+        lambda path, image, *about, scale="auto": save_figure(path, image_figure(image, scale)),
+    ),
+}
+SIGNATURE_FORMATS = {
+    ".csv": Format("table", None, save_signature),
+    ".txt": Format(
+        "AFSIM infrared_signature; wants --quantity source",
+        None,
+        lambda path, table, conditions, errors: save_afsim(path, table, path.stem, conditions),
+    ),
+    ".nc": Format("NetCDF with units and conditions (extra netcdf)", ("xarray", "netcdf"), save_netcdf),
+    ".png": Format(
+        "polar plot, or lines by component (extra plot)",
+        ("matplotlib", "plot"),
+        lambda path, table, *about, scale="log": save_figure(path, signature_figure(table, scale)),
+    ),
+}
+REPORT_FORMATS = {
+    ".html": Format("one page that holds everything (extra plot)", ("matplotlib", "plot"), lambda *about: None),
+}
+SHOW_FORMATS = {
+    ".png": Format("mesh, plume, lights and cameras (extra plot)", ("matplotlib", "plot"), save_figure),
+}
+
+
+def outputs_of(asked: list[Path] | None, default: list[Path], formats: dict[str, Format]) -> list[Path]:
+    """The files to write, once it is known that they can be."""
+    outputs = default if asked is None else asked
+    for path in outputs:
+        require_suffix(path, *formats)
+        needs = formats[path.suffix].needs
+        if needs is not None and importlib.util.find_spec(needs[0]) is None:
+            raise ImportError(f'{path}: writing it needs {needs[0]}: pip install "jaxir[{needs[1]}]"')
+    return outputs
+
+
+def write(
+    formats: dict[str, Format],
+    path: Path,
+    result: Image | Signature,
+    conditions: Conditions,
+    errors: ErrorBudget,
+    scale: str | None,
+) -> None:
+    """Write a result by the ending of the file's name, and say so; `scale` is that of a picture."""
+    picture = {"scale": scale} if scale is not None and path.suffix == ".png" else {}
+    formats[path.suffix].save(path, result, conditions, errors, **picture)
+    print(f"wrote {path}")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text whole or not at all, and say so."""
+    with written_whole(path) as part:
+        part.write_text(text, encoding="utf-8")
+    print(f"wrote {path}")
