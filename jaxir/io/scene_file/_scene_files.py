@@ -93,8 +93,8 @@ class SceneFile(NamedTuple):
         lines = [] if scene.skin is None else _describe_skin(scene.skin)
         lines += [_describe_plume(plume) for plume in scene.plumes]
         lines += [f"source: {type(source).__name__}" for source in scene.sources]
-        for name, part in (("background", scene.background), ("atmosphere", scene.atmosphere)):
-            lines.append(f"{name}: {'none' if part is None else type(part).__name__}")
+        lines.append(f"background: {'none' if scene.background is None else type(scene.background).__name__}")
+        lines.append(f"atmosphere: {'none' if scene.atmosphere is None else scene.atmosphere.described}")
         chosen = scene.has_spectrum and not isinstance(self.bands, Nodes)
         nodes = "as many nodes as gas and air need" if chosen else f"{as_nodes(self.bands).count} nodes"
         lines.append(f"bands: {', '.join(self.names)} on {nodes}")

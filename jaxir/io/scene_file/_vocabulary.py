@@ -39,7 +39,7 @@ from jaxir.io.scene_file._entries import (
     sizes,
     text,
 )
-from jaxir.io.spectra import load_atmosphere_csv, load_k_tables, load_tape7
+from jaxir.io.spectra import load_atmosphere_csv, load_k_tables, load_tape7, load_tape7_sun
 from jaxir.optics.air import Profile, us_standard_1976
 from jaxir.optics.gas import CorrelatedK, CrossSections, GrayGas, NarrowBandGas, combustion_products
 from jaxir.optics.particle import GrayParticles, HenyeyGreenstein, Isotropic, Particles, TabulatedPhase, mie_table
@@ -60,7 +60,7 @@ from jaxir.scene.light import (
     sun_at,
 )
 from jaxir.scene.plume import GridPlume, JetPlume
-from jaxir.transport import ClosedForm, DirectSampling, DiscreteOrdinates, PlumeLight, SkinLight
+from jaxir.transport import KINDS, ClosedForm, DirectSampling, DiscreteOrdinates, PlumeLight, SkinLight
 
 
 def combustion_gas(pressure: Any, carbon: float, hydrogen: float, equivalence_ratio: Any) -> NarrowBandGas:
@@ -164,6 +164,11 @@ def _moment(entry: Entry) -> datetime.datetime:
     return entry.value
 
 
+def _files(entry: Entry) -> Any:
+    """A file, or several."""
+    return [existing_file(item) for item in entry.items()] if isinstance(entry.value, list) else existing_file(entry)
+
+
 def _key(entry: Entry) -> Any:
     return jax.random.key(integer(entry))
 
@@ -198,7 +203,11 @@ SOURCES: dict[str, Callable] = {
     "SphereSource": SphereSource,
     **SUNS,
 }
-SPECTRA: dict[str, Callable] = {"BlackbodySpectrum": BlackbodySpectrum, "TabulatedSpectrum": TabulatedSpectrum}
+SPECTRA: dict[str, Callable] = {
+    "BlackbodySpectrum": BlackbodySpectrum,
+    "TabulatedSpectrum": TabulatedSpectrum,
+    "load_tape7_sun": load_tape7_sun,
+}
 BACKGROUNDS: dict[str, Callable] = {
     "UniformBackground": UniformBackground,
     "BlackbodyBackground": BlackbodyBackground,
@@ -299,7 +308,7 @@ READERS: dict[str, Reader] = {
     "panels": integer,
     "particles": _of(PARTICLES),
     "parts": _texts,
-    "path": existing_file,
+    "path": _files,
     "phase": _of(PHASES),
     "plume_light": _of({"PlumeLight": PlumeLight}),
     "points": integer,
@@ -321,6 +330,7 @@ RENDER_READERS: dict[str, Reader] = {
     "axes": _of(AXES),
     "axisymmetric": one_of(list("xyz")),
     **READERS,
+    "components": one_of(KINDS),
     "key": _key,
     "max_samples": integer,
 }

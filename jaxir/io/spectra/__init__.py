@@ -2,6 +2,7 @@
 
 from jaxir.io.spectra._atmospheres import load_atmosphere_csv as load_atmosphere_csv
 from jaxir.io.spectra._atmospheres import load_tape7 as load_tape7
+from jaxir.io.spectra._atmospheres import load_tape7_sun as load_tape7_sun
 from jaxir.io.spectra._hitran import check_line_file as check_line_file
 from jaxir.io.spectra._k_tables import GasState as GasState
 from jaxir.io.spectra._k_tables import KTables as KTables

@@ -5,12 +5,17 @@ from __future__ import annotations
 import math
 import os
 import re
+import warnings
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxir._arrays import as_float, float_dtype
 from jaxir.io._files import csv_rows, largest_number, read_text, to_number
+from jaxir.optics.spectrum import TabulatedSpectrum
 from jaxir.scene.air import TableAtmosphere
 
 _W_PER_CM2 = 1e4  # W cm-2 in W m-2
@@ -58,64 +63,159 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
     return table.atmosphere()
 
 
-def load_tape7(path: str | os.PathLike) -> TableAtmosphere:
-    """Read the path between sensor and target from MODTRAN's tape7 (.tp7, .7sc) in wavenumbers.
+def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAtmosphere:
+    """Read the path between sensor and target from MODTRAN's tape7 (.tp7, .7sc) in wavenumbers, of one file or several.
 
     A value belongs to the column under whose name it ends: blank columns occur, so position counts, not order. The
     path radiance is `PTH THRML` (which contains `THRML SCT`) plus `SOL SCAT` (which contains `SING SCAT`) of IEMSCT 1
-    and 2, in W cm-2 sr-1 / cm-1; IEMSCT 0 and 3 tell the transmittance only. Radiance from the ground is not part of
-    the path. Of several runs in a file the first is read.
+    and 2, in W cm-2 sr-1 / cm-1; IEMSCT 0 and 3 tell the transmittance only, which is warned of. Radiance from the
+    ground is not part of the path. Of several runs in a file the first is read.
+
+    Several files are joined in the order of their wavenumbers, one for each band, say. Where they leave a gap wider
+    than their steps, the table has none of it, and a band that reaches into the gap is refused.
+
+    Args:
+        path: the file, or several.
+
+    Returns:
+        The path, in ascending wavenumber; without path radiance where no file holds one.
+
+    Raises:
+        ValueError: no header line whose first word is FREQ, no -9999 at the end, a line that is cut or not numeric,
+            wavenumbers that do not change in one direction, a transmittance outside [0, 1], a negative radiance;
+            names file and line. Files that overlap, or only some of which hold path radiances; names both.
+    """
+    files = [Path(path)] if isinstance(path, (str, os.PathLike)) else [Path(one) for one in path]
+    if not files:
+        raise ValueError("path: got no file, expected at least one")
+    pieces = []
+    for file in files:
+        lines = _Tape7(file)
+        total = next((name for name in _TRANSMITTANCE if lines.has(name)), None)
+        if total is None:
+            raise ValueError(f"{file}:{lines.header}: got no column {' or '.join(_TRANSMITTANCE)}, expected one")
+        added = [name for name in _ADDED if lines.has(name)]
+        table = _Table(file)
+        for number, line in lines.rows():
+            values = {name: table.number(number, name, lines.cell(line, name)) for name in ("FREQ", total)}
+            parts = [table.number(number, name, lines.cell(line, name), blank=True) for name in added]
+            table.add(number, values["FREQ"], values[total], _W_PER_CM2 * math.fsum(parts))
+        pieces.append(_Piece(file, table.sorted(), bool(added)))
+    return _joined(pieces)
+
+
+def load_tape7_sun(path: str | os.PathLike) -> TabulatedSpectrum:
+    """Read the Sun's irradiance at the end of a path from MODTRAN's tape7 of IEMSCT 3, for `Sun` and `ParallelSource`.
+
+    The column `SOL TR`, transmitted sunlight in W cm-2 / cm-1. It is that at the target already, so it goes with
+    `Sun(elevation, azimuth, irradiance, FixedPath(1.0))`.
 
     Args:
         path: the file.
 
     Returns:
-        The path, in ascending wavenumber.
+        The irradiance over wavelength [W m-2 um-1].
 
     Raises:
-        ValueError: no header line whose first word is FREQ, no -9999 at the end, a line that is cut or not numeric,
-            wavenumbers that do not change in one direction, a transmittance outside [0, 1], a negative radiance;
-            names file and line.
+        ValueError: as `load_tape7`, or no column SOL TR.
     """
     file = Path(path)
-    lines = read_text(file, "latin-1").splitlines()
-    start = next((i for i, line in enumerate(lines) if line.split()[:1] == ["FREQ"]), None)
-    if start is None:
-        raise ValueError(f"{file}: got no header line that starts with FREQ, expected MODTRAN's tape7 in wavenumbers")
-    found = {name: _column_end(lines[start], name) for name in ("FREQ", *_TRANSMITTANCE, *_ADDED)}
-    total = next((name for name in _TRANSMITTANCE if found[name] is not None), None)
-    if total is None:
-        raise ValueError(f"{file}:{start + 1}: got no column {' or '.join(_TRANSMITTANCE)}, expected one")
-    added = [name for name in _ADDED if found[name] is not None]
-    first = start + (2 if lines[start + 1 : start + 2] and lines[start + 1].split()[:1] == ["CM-1"] else 1)
-
+    lines = _Tape7(file)
+    if not lines.has(_SUNLIGHT):
+        raise ValueError(f"{file}:{lines.header}: got no column {_SUNLIGHT}, expected MODTRAN's tape7 of IEMSCT 3")
     table = _Table(file)
-    length = len(lines[first].rstrip()) if first < len(lines) else 0
-    for number, line in enumerate(lines[first:], first + 1):
-        if line.strip().startswith("-9999"):
-            return table.atmosphere()
-        if len(line.rstrip()) != length:
-            raise ValueError(f"{file}:{number}: got a line of {len(line.rstrip())} characters, expected {length}")
-        values = {name: table.number(number, name, _cell(line, found[name])) for name in ("FREQ", total)}
-        parts = [table.number(number, name, _cell(line, found[name]), blank=True) for name in added]
-        table.add(number, values["FREQ"], values[total], _W_PER_CM2 * math.fsum(parts))
-    raise ValueError(f"{file}:{len(lines)}: got the end of the file, expected a line with -9999: the file is cut")
+    for number, line in lines.rows():
+        wavenumber, light = (table.number(number, name, lines.cell(line, name)) for name in ("FREQ", _SUNLIGHT))
+        table.add(number, wavenumber, 0.0, _W_PER_CM2 * light, what="irradiance")
+    wavenumber, _, light = table.sorted().T
+    per_um = light * wavenumber**2 / 1e4  # d(wavenumber) = 1e4 / wavelength^2 d(wavelength)
+    return TabulatedSpectrum(as_float(1e4 / wavenumber[::-1]), as_float(per_um[::-1]))
 
 
+class _Piece(NamedTuple):
+    """Samples of one file [sample, 3], and whether it holds path radiances."""
+
+    file: Path
+    samples: np.ndarray
+    shines: bool
+
+
+def _joined(pieces: list[_Piece]) -> TableAtmosphere:
+    """One table of several files in the order of their wavenumbers."""
+    pieces = sorted(pieces, key=lambda piece: piece.samples[0, 0])
+    dark = [piece.file for piece in pieces if not piece.shines]
+    if dark and len(dark) < len(pieces):
+        raise ValueError(f"{dark[0]}: got no path radiance, expected one as in the other files, or none in all")
+    if dark:
+        names = ", ".join(str(file) for file in dark)
+        warnings.warn(f"{names}: got no path radiance (IEMSCT 1 or 2 tell it); the air adds none", stacklevel=3)
+    gaps = []
+    for one, other in pairwise(pieces):
+        end, start = float(one.samples[-1, 0]), float(other.samples[0, 0])
+        if start <= end:
+            raise ValueError(
+                f"{other.file}: begins at {_both(start)}, inside {one.file}, which ends at {_both(end)}; expected "
+                "files that do not overlap"
+            )
+        step = max(end - float(one.samples[-2, 0]), float(other.samples[1, 0]) - start)
+        if start - end > 1.5 * step:
+            gaps.append((end, start))
+    wavenumber, transmittance, radiance = (as_float(column) for column in np.concatenate([p.samples for p in pieces]).T)
+    return TableAtmosphere(wavenumber, transmittance, None if dark else radiance, as_float(gaps) if gaps else None)
+
+
+def _both(wavenumber: float) -> str:
+    return f"{wavenumber:.6g} cm-1 ({1e4 / wavenumber:.4g} um)"
+
+
+_SUNLIGHT = "SOL TR"
 _TRANSMITTANCE = ("TOT TRANS", "COMBIN", "TRANS")
 _ADDED = ("PTH THRML", "SOL SCAT")
 
 
-def _column_end(header: str, name: str) -> int | None:
-    """Where the column `name` ends; the words of a name are joined by a blank or an underscore."""
-    match = re.search(rf"(?<!\S){name.replace(' ', '[ _]')}(?!\S)", header)
-    return match.end() if match else None
+class _Tape7:
+    """The lines of a file's first run, and where its columns end."""
 
+    def __init__(self, file: Path):
+        self.file, self.lines = file, read_text(file, "latin-1").splitlines()
+        start = next((i for i, line in enumerate(self.lines) if line.split()[:1] == ["FREQ"]), None)
+        if start is None:
+            raise ValueError(
+                f"{file}: got no header line that starts with FREQ, expected MODTRAN's tape7 in wavenumbers"
+            )
+        self.header = start + 1  # counted from 1
+        below = self.lines[start + 1 : start + 2]
+        self.first = start + (2 if below and below[0].split()[:1] == ["CM-1"] else 1)
 
-def _cell(line: str, end: int | None) -> str:
-    """The word that ends nearest to `end`, up to three characters away; versions differ by one or two."""
-    words = sorted((abs(word.end() - (end or 0)), word.group()) for word in re.finditer(r"\S+", line))
-    return words[0][1] if words and words[0][0] <= 3 else ""
+    def has(self, name: str) -> bool:
+        """Whether there is a column of that name."""
+        return self._end(name) is not None
+
+    def _end(self, name: str) -> int | None:
+        """Where the column `name` ends; the words of a name are joined by a blank or an underscore."""
+        match = re.search(rf"(?<!\S){name.replace(' ', '[ _]')}(?!\S)", self.lines[self.header - 1])
+        return match.end() if match else None
+
+    def cell(self, line: str, name: str) -> str:
+        """The word that ends nearest to a column's end, up to three characters away; versions differ by one or two."""
+        end = self._end(name) or 0
+        words = sorted((abs(word.end() - end), word.group()) for word in re.finditer(r"\S+", line))
+        return words[0][1] if words and words[0][0] <= 3 else ""
+
+    def rows(self) -> Iterator[tuple[int, str]]:
+        """Number and text of every line of values."""
+        length = len(self.lines[self.first].rstrip()) if self.first < len(self.lines) else 0
+        for number, line in enumerate(self.lines[self.first :], self.first + 1):
+            if line.strip().startswith("-9999"):
+                return
+            if len(line.rstrip()) != length:
+                raise ValueError(
+                    f"{self.file}:{number}: got a line of {len(line.rstrip())} characters, expected {length}"
+                )
+            yield number, line
+        raise ValueError(
+            f"{self.file}:{len(self.lines)}: got the end of the file, expected a line with -9999: the file is cut"
+        )
 
 
 class _Table:
@@ -136,14 +236,16 @@ class _Table:
             raise ValueError(f"{self.file}:{line}: got {value} for {name}, expected a finite number")
         return value
 
-    def add(self, line: int, wavenumber: float, transmittance: float, radiance: float) -> None:
-        for name, value in (("wavenumber", wavenumber), ("path radiance", radiance)):
+    def add(
+        self, line: int, wavenumber: float, transmittance: float, radiance: float, what: str = "path radiance"
+    ) -> None:
+        for name, value in (("wavenumber", wavenumber), (what, radiance)):
             if not abs(value) <= largest_number():
                 raise ValueError(f"{self.file}:{line}: got {name} {value}, expected a finite number in {float_dtype()}")
         if not -1e-9 <= transmittance <= 1 + 1e-9:
             raise ValueError(f"{self.file}:{line}: got transmittance {transmittance}, expected one in [0, 1]")
         if radiance < 0:
-            raise ValueError(f"{self.file}:{line}: got path radiance {radiance}, expected one >= 0")
+            raise ValueError(f"{self.file}:{line}: got {what} {radiance}, expected one >= 0")
         if _rounded(wavenumber) <= 0:
             raise ValueError(f"{self.file}:{line}: got wavenumber {wavenumber}, expected one > 0")
         before = self.samples
@@ -157,12 +259,16 @@ class _Table:
             )
         before.append((line, wavenumber, min(max(transmittance, 0.0), 1.0), radiance))
 
-    def atmosphere(self) -> TableAtmosphere:
+    def sorted(self) -> np.ndarray:
+        """Wavenumber, transmittance and radiance [sample, 3], in ascending wavenumber."""
         if len(self.samples) < 2:
             raise ValueError(f"{self.file}: got {len(self.samples)} samples, expected at least two")
         table = np.array([sample[1:] for sample in self.samples])
-        table = table if table[-1, 0] > table[0, 0] else table[::-1]
-        return TableAtmosphere(*(as_float(column) for column in table.T))
+        return table if table[-1, 0] > table[0, 0] else table[::-1]
+
+    def atmosphere(self) -> TableAtmosphere:
+        """The path through the air."""
+        return TableAtmosphere(*(as_float(column) for column in self.sorted().T))
 
 
 def _rounded(value: float) -> float:

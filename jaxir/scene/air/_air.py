@@ -32,6 +32,11 @@ class AbstractAtmosphere(Physical):
         """Altitude of the target [m] and the air around it, from which sky and sunlight follow; None if not known."""
         return None
 
+    @property
+    def described(self) -> str:
+        """What it is in a few words."""
+        return type(self).__name__
+
     @abc.abstractmethod
     def on(self, nodes: Nodes) -> AirPath:
         """Transmittance and radiance of the path on `nodes`. Differentiable in the fields."""

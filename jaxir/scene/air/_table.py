@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import operator
+
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, fraction, increasing, non_negative, positive, require
+from jaxir._arrays import Check, fraction, increasing, known, non_negative, on_host, positive, require
 from jaxir._fields import quantity
 from jaxir._plausible import WAVENUMBER
 from jaxir.optics._tables import sample_weights
@@ -23,6 +27,8 @@ class TableAtmosphere(AbstractAtmosphere):
         transmittance: [sample].
         spectral_path_radiance: spectral radiance that the path adds [sample] [W m-2 sr-1 / cm-1]; None adds nothing.
 
+        gaps: ranges without data between the samples [gap, 2] [cm-1]; None for none. No bin may reach into one.
+
     Differentiable in transmittance and radiance.
     """
 
@@ -31,6 +37,7 @@ class TableAtmosphere(AbstractAtmosphere):
     spectral_path_radiance: Float[Array, " sample"] | None = quantity(
         "W m-2 sr-1 / cm-1", ("sample",), non_negative, default=None
     )
+    gaps: Float[Array, "gap 2"] | None = quantity("cm-1", ("gap", 2), (positive, WAVENUMBER), default=None)
 
     @property
     def has_spectrum(self) -> bool:
@@ -38,8 +45,28 @@ class TableAtmosphere(AbstractAtmosphere):
         return True
 
     def node_checks(self, nodes: Nodes) -> list[Check]:
-        """See `Physical.node_checks`: bins lie within the table."""
-        return bins_inside("TableAtmosphere", nodes, self.wavenumber)
+        """See `Physical.node_checks`: bins lie within the table, and in none of its gaps."""
+        checks = bins_inside("TableAtmosphere", nodes, self.wavenumber)
+        if self.gaps is None:
+            return checks
+        _, lower, upper, gaps = on_host(nodes.lower, nodes.upper, self.gaps)
+        within = [(upper > low * (1 + 1e-5)) & (lower < high * (1 - 1e-5)) for low, high in zip(*gaps.T, strict=True)]
+        lost = known(gaps)
+        said = (
+            "its gaps" if lost is None else ", ".join(f"{1e4 / high:.4g} to {1e4 / low:.4g} um" for low, high in lost)
+        )
+        free = ~functools.reduce(operator.or_, within)
+        return [*checks, Check("nodes.lower", lower, free, f"bins outside {said}, where TableAtmosphere has no data")]
+
+    @property
+    def described(self) -> str:
+        """See `AbstractAtmosphere.described`: its ranges."""
+        ends = np.asarray(self.wavenumber, np.float64)[[0, -1]]
+        inner = np.zeros(0) if self.gaps is None else np.asarray(self.gaps, np.float64).ravel()
+        edges = np.sort(1e4 / np.concatenate([ends, inner])).reshape(-1, 2)
+        ranges = ", ".join(f"{low:.4g} to {high:.4g} um" for low, high in edges.tolist())
+        dark = ", without path radiance" if self.spectral_path_radiance is None else ""
+        return f"{super().described}, {ranges}{dark}"
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`.

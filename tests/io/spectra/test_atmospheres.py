@@ -1,8 +1,10 @@
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
-from jaxir.io.spectra import load_atmosphere_csv, load_tape7
-from jaxir.optics.spectrum import MWIR, resolved_nodes
+from jaxir.io.spectra import load_atmosphere_csv, load_tape7, load_tape7_sun
+from jaxir.optics.spectrum import MWIR, Band, resolved_nodes
 
 NODES = resolved_nodes([MWIR], points=1, pair_points=0)
 WAVENUMBER = np.arange(1990.0, 3350.0, 5.0)
@@ -48,10 +50,16 @@ def tape7(mode):
 def test_tape7_round_trip(mode, tmp_path):
     file = tmp_path / "case.tp7"
     file.write_text("\n".join(tape7(mode)))
-    air = load_tape7(file)
+    warns = pytest.warns(UserWarning, match="case.tp7: got no path radiance") if mode in (0, 3) else nullcontext()
+    with warns:
+        air = load_tape7(file)
     assert np.allclose(air.wavenumber, WAVENUMBER) and np.allclose(air.transmittance, TRANSMITTANCE, atol=1e-4)
-    expected = {0: 0 * THERMAL, 1: THERMAL, 2: THERMAL + SOLAR, 3: 0 * THERMAL}[mode] * 1e4
-    assert np.allclose(air.spectral_path_radiance, expected, rtol=1e-4)
+    expected = {1: THERMAL, 2: THERMAL + SOLAR}.get(mode)
+    if expected is None:
+        assert air.spectral_path_radiance is None and air.described.endswith("2.99 to 5.025 um, without path radiance")
+    else:
+        assert np.allclose(air.spectral_path_radiance, expected * 1e4, rtol=1e-4)
+        assert air.described == "TableAtmosphere, 2.99 to 5.025 um"
     assert air.on(NODES).transmittance.shape == (NODES.count,)
 
 
@@ -63,6 +71,55 @@ def test_tape7_of_other_versions(tmp_path):
     file.write_text("\n".join(descending))
     air = load_tape7(file)
     assert np.allclose(air.wavenumber, WAVENUMBER) and np.allclose(air.transmittance, TRANSMITTANCE, atol=1e-6)
+
+
+def cut(lines, low, high):
+    """The file of a part of the range."""
+    begin = 5 if "CM-1" in lines[4] else 4
+    kept = [line for line in lines[begin:-2] if low <= float(line[:8]) <= high]
+    return lines[:begin] + kept + lines[-2:]
+
+
+def write_pieces(folder, *ranges, mode=2):
+    """Files of parts of the range."""
+    files = [folder / f"{index}.tp7" for index in range(len(ranges))]
+    for file, ends in zip(files, ranges, strict=True):
+        file.write_text("\n".join(cut(tape7(mode), *ends)))
+    return files
+
+
+def test_files_for_several_bands_are_joined(tmp_path):
+    whole = write_pieces(tmp_path, (0, 9999))
+    one, both = load_tape7(whole[0]), load_tape7(write_pieces(tmp_path, (2500, 9999), (0, 2495)))
+    assert both.gaps is None and one.described == both.described
+    for name in ("wavenumber", "transmittance", "spectral_path_radiance"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(both, name))
+    apart = load_tape7(write_pieces(tmp_path, (0, 2400), (2800, 9999)))
+    assert apart.described == "TableAtmosphere, 2.99 to 3.571 um, 4.167 to 5.025 um"
+    np.testing.assert_allclose(apart.gaps, [[2400, 2800]])
+    inside = resolved_nodes([Band("a", 4.2, 4.9), Band("b", 3.1, 3.5)], points=1, pair_points=0)
+    np.testing.assert_allclose(apart.on(inside).transmittance, one.on(inside).transmittance, rtol=1e-5)
+    with pytest.raises(ValueError, match="expected bins outside 3.571 to 4.167 um, where TableAtmosphere has no data"):
+        apart.on(NODES)
+    with pytest.raises(ValueError, match=r"1.tp7: begins at 2400 cm-1 .4.167 um., inside .*0.tp7, which ends at 2500"):
+        load_tape7(write_pieces(tmp_path, (0, 2500), (2400, 9999)))
+    (tmp_path / "d").mkdir()
+    dark = write_pieces(tmp_path / "d", (2500, 9999), mode=0)
+    with pytest.raises(ValueError, match="d.0.tp7: got no path radiance, expected one as in the other files"):
+        load_tape7([*write_pieces(tmp_path, (0, 2495)), *dark])
+    with pytest.raises(ValueError, match="path: got no file"):
+        load_tape7([])
+
+
+def test_sunlight_of_tape7_integrates_to_its_irradiance(tmp_path):
+    file = tmp_path / "sun.tp7"
+    file.write_text("\n".join(tape7(3)))
+    sun = load_tape7_sun(file)  # 1e-6 W cm-2 / cm-1 everywhere
+    width = np.asarray(NODES.upper) - np.asarray(NODES.lower)
+    np.testing.assert_allclose(sun.on(NODES), 1e-2 * width, rtol=1e-4)
+    with pytest.raises(ValueError, match="sun.tp7:4: got no column SOL TR, expected MODTRAN's tape7 of IEMSCT 3"):
+        file.write_text("\n".join(tape7(2)))
+        load_tape7_sun(file)
 
 
 def change(lines, number, old, new):
