@@ -5,7 +5,6 @@ that this filled ("warm"). Times are wall time from the start of the interpreter
 installed (extra `peers`), its first image of a box in the sun is timed the same way.
 """
 
-import importlib.util
 import os
 import re
 import subprocess
@@ -14,6 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from studies import mitsuba_peer
 from studies._study import HERE, Run, study, subplots
 
 ROOT = HERE.parent
@@ -66,7 +66,10 @@ def jobs() -> dict[str, list[str]]:
         ],
         "first fit of a plume": [sys.executable, "-c", FIT],
     }
-    if importlib.util.find_spec("mitsuba") is not None:
+    why = mitsuba_peer.trouble(MITSUBA)
+    if why:
+        print(f"Mitsuba is not measured: {why}")
+    else:
         found["Mitsuba's first image"] = [sys.executable, "-c", MITSUBA]
     return found
 

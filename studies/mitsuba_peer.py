@@ -1,10 +1,43 @@
 """Mitsuba 3 on the experiments it can do (extra `peers`; a shared library of LLVM >= 19 in DRJIT_LIBLLVM_PATH)."""
 
+import functools
+import importlib.util
+import subprocess
+import sys
+
 import numpy as np
+
+PROBE = """
+import drjit
+import mitsuba
+
+mitsuba.set_variant("llvm_ad_mono")
+drjit.eval(drjit.arange(mitsuba.Float, 4) + 1)
+"""
+
+
+@functools.cache
+def trouble(probe=PROBE):
+    """Why Mitsuba does not run here, in a line; "" where it does.
+
+    Asked in a process of its own: with an old LLVM it ends the process instead of raising an error.
+    """
+    if importlib.util.find_spec("mitsuba") is None:
+        return 'it is not installed (pip install "jaxir[peers]")'
+    ran = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True)
+    if ran.returncode == 0:
+        return ""
+    how = f"ends by signal {-ran.returncode}" if ran.returncode < 0 else f"ends with status {ran.returncode}"
+    said = [line.strip() for line in ran.stderr.splitlines() if line.strip()]
+    return f"a process that loads it {how}{f': {said[-1][:150]}' if said else ''}"
 
 
 def load():
     """The modules mitsuba and drjit in the variant `llvm_ad_mono`, on one thread; None where they do not run."""
+    why = trouble()
+    if why:
+        print(f"Mitsuba is not measured: {why}")
+        return None
     try:
         import drjit
         import mitsuba

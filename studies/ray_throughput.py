@@ -20,6 +20,7 @@ import numpy as np
 import jaxir
 from jaxir.geometry import Bundle, Rays
 from jaxir.geometry.search import any_hit, closest_hit, occluded
+from studies import mitsuba_peer
 from studies._study import Run, study, subplots
 from studies.aircraft import generic_aircraft
 
@@ -82,6 +83,10 @@ def trimesh_embree(vertices: np.ndarray, faces: np.ndarray) -> Any:
 
 def mitsuba(vertices: np.ndarray, faces: np.ndarray) -> Callable[[np.ndarray, np.ndarray, bool], Any] | None:
     """Mitsuba's LLVM backend (Embree packets): run(origins, directions, any_hit); None where it cannot run."""
+    why = mitsuba_peer.trouble()
+    if why:
+        print(f"Mitsuba is not measured: {why}", file=sys.stderr)
+        return None
     try:
         import drjit
         import mitsuba as mi

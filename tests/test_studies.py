@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from studies import _study
+from studies import _study, mitsuba_peer
 
 ROOT = Path(__file__).parents[1]
 STUDIES = sorted(path for path in (ROOT / "studies").glob("*.py") if "\n    study(main" in path.read_text())
@@ -58,6 +58,28 @@ def test_tables_charts_and_records_are_written_where_asked(tmp_path):
     assert (tmp_path / "new" / "x.csv").read_text().splitlines()[1] == "a,123456,0.3333"
     assert float((tmp_path / "new" / "y.csv").read_text().splitlines()[1]) == 1 / 3
     assert run.bulk("deep", "er").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("probe", "why"),
+    [
+        ("import os\nos.abort()", r"a process that loads it ends by signal 6"),
+        ("raise RuntimeError('LLVM is too old')", "ends with status 1: RuntimeError: LLVM is too old"),
+        ("pass", ""),
+    ],
+)
+def test_what_would_end_a_study_is_found_in_a_process_of_its_own(probe, why, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: name)
+    found = mitsuba_peer.trouble(probe)
+    assert why in found and "\n" not in found and bool(found) == bool(why)
+
+
+def test_a_peer_that_is_not_installed_is_said_in_one_line(monkeypatch, capsys):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    mitsuba_peer.trouble.cache_clear()
+    assert mitsuba_peer.load() is None
+    mitsuba_peer.trouble.cache_clear()
+    assert capsys.readouterr().out == 'Mitsuba is not measured: it is not installed (pip install "jaxir[peers]")\n'
 
 
 def test_help_is_the_question():
