@@ -32,7 +32,7 @@ MOST_ROWS = 400  # of a table in a page; a CSV holds the rest
 
 def report_command(arguments: argparse.Namespace) -> None:
     """Render and tabulate what the scene file asks for and write one page of it."""
-    (path,) = outputs_of(arguments.output, [Path(f"{arguments.scene.stem}_report.html")], REPORT_FORMATS)
+    outputs = outputs_of(arguments.output, [Path(f"{arguments.scene.stem}_report.html")], REPORT_FORMATS)
     began, quantity = time.perf_counter(), arguments.quantity or "apparent"
     with _kept_warnings() as said:
         read = read_scene(arguments.scene)
@@ -56,14 +56,8 @@ def report_command(arguments: argparse.Namespace) -> None:
     page.heading("What was assumed")
     page.listed([*assumptions(read), *dict.fromkeys(said)])
     page.heading("How it was made")
-    words = [
-        "jaxir",
-        "report",
-        str(arguments.scene),
-        "-o",
-        str(path),
-        *(["-q", quantity] if arguments.quantity else []),
-    ]
+    files = [word for path in outputs for word in ("-o", str(path))]
+    words = ["jaxir", "report", str(arguments.scene), *files, *(["-q", quantity] if arguments.quantity else [])]
     made = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     versions = [f"{name} {importlib.metadata.version(name)}" for name in ("jaxir", "jax", "jaxlib", "numpy")]
     page.listed(
@@ -75,7 +69,8 @@ def report_command(arguments: argparse.Namespace) -> None:
     )
     page.table(("input", "SHA-256"), [(name, digest) for name, digest in hashes(read.file).items()])
     page.text(read.file.read_text(encoding="utf-8"), folded=f"{read.file.name}, as it was read")
-    write_text(path, str(page))
+    for path in outputs:
+        write_text(path, str(page))
 
 
 class _kept_warnings:
