@@ -182,7 +182,8 @@ def test_components_are_drawn_with_their_sum():
     axis = plot.component_bars(split).axes[0]
     np.testing.assert_allclose([bar.get_width() for bar in axis.patches], [18.0, 6.0, 0.0, 24.0])  # of 6 m2
     assert [text.get_text() for text in axis.get_yticklabels()] == ["skin", "Sun", "plume", "sum"]
-    titles = [axis.get_title().split("\n")[0] for axis in plot.component_panels(split).axes]
+    ramp = dataclasses.replace(split, parts=split.parts * jnp.arange(6.0)[None, :, None, None])
+    titles = [axis.get_title().split("\n")[0] for axis in plot.component_panels(ramp).axes]
     assert titles[:6] == ["MWIR, all", "LWIR, all", "MWIR, skin", "LWIR, skin", "MWIR, Sun", "LWIR, Sun"]
     table = signature([0.0, 30.0, 0.0], [0.0, 0.0, 40.0], [4.0, 8.0, 9.0])
     parts = jnp.asarray([0.75, 0.25])[None, :, None] * table.intensity[:, None]

@@ -85,7 +85,7 @@ def radiance_image(image: Image, **options: Any) -> Any:
 
 
 def component_panels(image: Image, *, scale: str = "auto") -> Any:
-    """An image and its components, each with limits of its own; those without light are left out.
+    """An image and its components, each with limits of its own; those alike in all pixels are left out, as the air's.
 
     Args:
         image: of `render(..., components=...)`.
@@ -101,7 +101,7 @@ def component_panels(image: Image, *, scale: str = "auto") -> Any:
     if image.parts is None:
         raise ValueError('image.parts: got none, expected render(..., components="sources")')
     every = {name: image.parts[:, :, k] for k, name in enumerate(image.components)}
-    each = {name: value for name, value in every.items() if np.asarray(value).any()}
+    each = {name: value for name, value in every.items() if np.ptp(np.asarray(value), axis=(0, 1)).any()}
     shown = {name: dataclasses.replace(image, radiance=value) for name, value in each.items()}
     return radiance_panels({"all": image, **shown}, scale=scale, limits="own")
 

@@ -88,12 +88,18 @@ def _draw_skin(figure: Any, axis: Any, skin: Skin, colour: str) -> None:
         scale = LogNorm(temperature.min(), max(temperature.max(), temperature.min() + 1))
         colours = colormaps["turbo"](scale(temperature))
         bar = figure.colorbar(
-            ScalarMappable(scale, "turbo"), ax=axis, label="temperature [K]", shrink=0.6, location="left", format="%g"
+            ScalarMappable(scale, "turbo"), ax=axis, label="temperature [K]", shrink=0.5, location="bottom", format="%g"
         )
-        bar.ax.yaxis.set_minor_formatter("{x:g}")
-    step = -(-len(corners) // MOST_FACES)
-    shown = Poly3DCollection(corners[::step], facecolors=colours[::step], shade=True, edgecolor="none")
-    axis.add_collection3d(shown)
+        bar.ax.xaxis.set_minor_formatter("{x:g}")
+    front = np.arange(len(corners))
+    if skin.mesh.closed:  # backs would be drawn over fronts where a body is thin
+        up, around = np.deg2rad([axis.elev, axis.azim])
+        eye = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+        front = np.flatnonzero(np.asarray(skin.mesh.area_vectors(), np.float64) @ eye > 0)
+    front = front[:: -(-front.size // MOST_FACES)]
+    axis.add_collection3d(
+        Poly3DCollection(corners[front], facecolors=colours[front], shade=True, edgecolor="none", antialiased=False)
+    )
 
 
 def _draw_plume(axis: Any, plume: AbstractPlume) -> None:
