@@ -44,8 +44,8 @@ class Lines(NamedTuple):
     quanta: np.ndarray
 
 
-@functools.cache
-def nu3_lines(temperature: float, faintest: float = 1e-9) -> Lines:
+@functools.lru_cache(maxsize=2)
+def nu3_lines(temperature: float, faintest: float = 1e-8) -> Lines:
     """Lines at a temperature [K], those below `faintest` times the strongest left out.
 
     The strength of a line is (Rothman et al., JQSRT 60, 1998, 665)
@@ -73,10 +73,10 @@ def nu3_lines(temperature: float, faintest: float = 1e-9) -> Lines:
             kept = (strength > 0.01 * faintest * ground) & (up >= angular)
             states = ((total - angular) // 2, angular, angular, v3, j, step)
             quanta = [np.broadcast_to(n, nu.shape)[kept] for n in states]
-            found.append(np.stack([nu[kept], strength[kept], energy[kept], *quanta]))
-    table = np.concatenate(found, axis=1)
-    table = table[:, table[1] > faintest * table[1].max()]
-    return Lines(table[0], table[1], table[2], table[3:].astype(int))
+            found.append((np.stack([nu[kept], strength[kept], energy[kept]]), np.stack(quanta).astype(np.int16)))
+    table, quanta = (np.concatenate(parts, axis=1) for parts in zip(*found, strict=True))
+    seen = table[1] > faintest * table[1].max()
+    return Lines(*table[:, seen], quanta[:, seen].astype(int))
 
 
 @functools.cache

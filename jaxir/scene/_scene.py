@@ -297,7 +297,7 @@ def on_nodes(scene: Scene, nodes: Nodes) -> Lit:
         nodes=nodes,
         blackbody=None if skin is None else band_radiance(skin.temperature, nodes),
         medium=medium,
-        air=None if air is None else air.on(nodes),
+        air=None if air is None else air.on(nodes) if plume is None else air.in_front_of(nodes, plume.hottest()),
         beams=tuple(_at_points(own, medium, source) for source in own.summed_beams),
     )
 

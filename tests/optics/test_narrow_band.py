@@ -7,6 +7,7 @@ import pytest
 from jaxir.optics import _tables
 from jaxir.optics.gas import ATMOSPHERE, GrayGas, NarrowBandGas
 from jaxir.optics.spectrum import LWIR, MWIR, STEFAN, SWIR, Band, band_radiance, resolved_nodes
+from studies import co2_lines as truth
 
 PRODUCTS = {"co2": 0.0630, "h2o": 0.0754, "o2": 0.1008}  # n-pentane in air, equivalence ratio 0.5
 TABLE = Band("table", 1e4 / 9300, 1e4 / 800)
@@ -31,9 +32,9 @@ def single_bin(centre, **kwargs):
 
 
 def test_thin_limit_is_the_table(x64):
-    # Two hot rows; the mean over quantiles of kappa is k p x 273/T whatever the shape of the distribution.
-    for centre, temperature, k in ((2325.0, 300.0, 26.23), (2325.0, 1000.0, 21.86), (2275.0, 2000.0, 14.11)):
-        nodes = single_bin(centre, points=40)
+    # Three rows; the mean over quantiles of kappa is k p x 273/T whatever the shape of the distribution.
+    for centre, temperature, k in ((3625.0, 300.0, 0.4512), (3625.0, 1000.0, 0.2511), (3675.0, 2000.0, 0.5496)):
+        nodes = single_bin(centre, points=40, pair_points=0)
         kappa = absorption(NarrowBandGas(ATMOSPHERE, co2=0.1), nodes, jnp.asarray(temperature))
         assert float(kappa @ nodes.weight) == pytest.approx(100 * k * 0.1 * 273 / temperature, rel=3e-3)
 
@@ -93,12 +94,13 @@ def test_plume_like_radiance(temperature, reference):
     assert np.all((ratio > 0.88) & (ratio < 1.0))
 
 
-@pytest.mark.parametrize(("pressure", "low", "high"), [(0.1, -0.05, 0.06), (0.3, -0.07, 0.01), (1.0, -0.08, 0.04)])
+@pytest.mark.parametrize("pressure", [0.1, 0.3, 1.0])
 @pytest.mark.parametrize("temperature", [1000.0, 1500.0])
-def test_co2_at_4_3_um_line_by_line(pressure, low, high, temperature, co2_lines, x64):
+def test_co2_at_4_3_um_line_by_line(pressure, temperature, co2_lines, x64):
+    """The tabulated lines, between the levels of the table: 1.5 %, where Malkmus' model erred by up to 9 %."""
     amount = 0.0630
     gas = NarrowBandGas(pressure * ATMOSPHERE, co2=amount, o2=PRODUCTS["o2"])
-    width = float(gas._lorentz("CO2", jnp.asarray(pressure), jnp.asarray(temperature)))
+    width = truth.half_width(temperature, pressure * ATMOSPHERE)
     wavenumber, kappa = co2_lines(temperature, pressure * amount, width)
     band = Band("4.3", 1e4 / 2400, 1e4 / 2000)
     nodes, bins = resolved_nodes(band), resolved_nodes(band, points=1)
@@ -108,7 +110,7 @@ def test_co2_at_4_3_um_line_by_line(pressure, low, high, temperature, co2_lines,
             -np.expm1(-path * kappa[(wavenumber >= start) & (wavenumber < start + 50)]).mean() for start in bins.lower
         ]
         got = float(radiance(gas, temperature, path, nodes)[0])
-        assert low < got / float(planck @ np.array(absorbed)) - 1 < high
+        assert got == pytest.approx(float(planck @ np.array(absorbed)), rel=0.015)
 
 
 def test_pairs_of_quantiles_let_two_gases_overlap_at_random():

@@ -14,3 +14,4 @@ from jaxir.optics.air._standard import path_air as path_air
 from jaxir.optics.air._standard import path_emission as path_emission
 from jaxir.optics.air._standard import path_transmittance as path_transmittance
 from jaxir.optics.air._standard import slant_range as slant_range
+from jaxir.optics.air._standard import slot_path as slot_path

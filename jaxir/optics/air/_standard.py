@@ -18,12 +18,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
+from jaxir.optics._slots import ColdCells, cell_shares, co2_slots, cold_cells, tabled
 from jaxir.optics._tables import COLD_PATH_EDGES, COLD_PATH_SPECIES, cold_path, overlap_matrix
 from jaxir.optics.air._profile import Profile
 from jaxir.optics.spectrum import Nodes, band_radiance
 
 EARTH_RADIUS = 6371.0e3  # m
 _SEGMENTS = 24
+_BOLTZMANN = 1.380649e-23  # J / K
+_CO2_IN_AIR = 400e-6  # orders the slots; how much passes is the fit's
+_TINY = 1e-30
 _GAUSS = (0.5 - 0.5 / 3**0.5, 0.5 + 0.5 / 3**0.5)
 
 
@@ -33,10 +37,16 @@ class PathAir(NamedTuple):
     Attributes:
         temperature: of each segment [segment] [K].
         depth: optical depth from the sensor to the end of each segment, per bin of the fit [segment, bin].
+        uniform: the part of `depth` of uniformly mixed gases [segment, bin].
+        column: of air in each half of a segment [half] [m-2].
+        state: temperature [K] and pressure [Pa] there [2, half].
     """
 
     temperature: Float[Array, " segment"]
     depth: Float[Array, "segment bin"]
+    uniform: Float[Array, "segment bin"]
+    column: Float[Array, " half"]
+    state: Float[Array, "2 half"]
 
 
 def slant_range(
@@ -111,8 +121,16 @@ def path_air(
     pieces = jnp.exp(log_density) * (weight * distance / 1000)[None, :]
     column = jnp.cumsum(pieces.reshape(fit.species.size, _SEGMENTS, 2).sum(axis=-1), axis=-1)
     depth = jnp.exp(as_float(fit.log_strength)[:, None] + as_float(fit.power)[:, None] * jnp.log(column))
-    total = jax.ops.segment_sum(depth, jnp.asarray(fit.row_bin), num_segments=COLD_PATH_EDGES.size - 1)
-    return PathAir(air.temperature.reshape(_SEGMENTS, 2).mean(axis=-1), total.T)
+    mixed = jnp.where((fit.species == COLD_PATH_SPECIES.index("umix"))[:, None], depth, 0)
+    total, uniform = (
+        jax.ops.segment_sum(x, jnp.asarray(fit.row_bin), num_segments=COLD_PATH_EDGES.size - 1).T
+        for x in (depth, mixed)
+    )
+    density = air.pressure / air.temperature / _BOLTZMANN
+    state = jnp.stack([air.temperature, air.pressure])
+    return PathAir(
+        air.temperature.reshape(_SEGMENTS, 2).mean(axis=-1), total, uniform, density * weight * distance, state
+    )
 
 
 def path_transmittance(air: PathAir, nodes: Nodes) -> Float[Array, " node"]:
@@ -125,6 +143,58 @@ def path_emission(air: PathAir, nodes: Nodes) -> Float[Array, " node"]:
     before = jnp.concatenate([jnp.zeros_like(air.depth[:1]), air.depth[:-1]])
     contribution = jnp.exp(-before) * -jnp.expm1(before - air.depth)
     return jnp.sum(band_radiance(air.temperature, nodes) * (contribution @ _share(nodes).T), axis=0)
+
+
+def slot_path(air: PathAir, nodes: Nodes, hottest: Float[Array, ""]) -> tuple[Array, Array]:
+    """Transmittance and emission of a path in front of CO2 as hot as `hottest` [K], each [node].
+
+    Between 2000 and 2400 cm-1 a node gets the mean over the wavenumbers whose rank in the absorption of CO2 of that
+    temperature falls into its slot. The mean over a bin stays that of the fit: with the transmittance t of CO2's own
+    lines in a cell, <t> their mean in the bin and u the fit's of all uniformly mixed gases,
+
+        t u / <t> where u <= <t>, as if something else absorbed too,    else 1 - (1 - t) (1 - u) / (1 - <t>).
+
+    Elsewhere they are those of `path_transmittance` and `path_emission`. Differentiable in `air` and `hottest`.
+    """
+    cells = cold_cells(nodes, hottest)
+    edges = co2_slots().edges
+    rows = slice(*np.searchsorted(COLD_PATH_EDGES, [edges[0], edges[-1]]))
+    own = _own_lines(air, cells)  # [2, segment, bin, slot]
+    mean = (own @ as_float(cell_shares(own.shape[-1])))[..., None]
+    fitted = jnp.exp(-air.uniform[:, rows])[None, :, :, None]
+    darker = own * jnp.minimum(fitted / jnp.maximum(mean, _TINY), 1)
+    brighter = 1 - (1 - own) * jnp.minimum((1 - fitted) / jnp.maximum(1 - mean, _TINY), 1)
+    through = jnp.where(fitted <= mean, darker, brighter)
+    through = through * jnp.exp(-(air.depth - air.uniform)[:, rows])[None, :, :, None]
+    through = through.reshape(*through.shape[:2], -1)
+    after = jnp.einsum("r,rsc,rnc->sn", cells.blend, through, cells.share, precision=jax.lax.Precision.HIGHEST)
+    before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
+    emitted = jnp.sum(band_radiance(air.temperature, nodes) * (before - after), axis=0)
+    inside = tabled(nodes)
+    return (
+        jnp.where(inside, after[-1], path_transmittance(air, nodes)),
+        jnp.where(inside, emitted, path_emission(air, nodes)),
+    )
+
+
+def _own_lines(air: PathAir, cells: ColdCells) -> Float[Array, "2 segment bin slot"]:
+    """Transmittance of CO2's own lines from the sensor to the end of each segment in each slot."""
+    table = co2_slots()
+    hotter = _hats(as_float(-1000 / table.cold_temperature), -1000 / air.state[0])
+    denser = _hats(as_float(np.log(table.cold_pressure)), jnp.log(air.state[1]))
+    weight = (hotter[:, :, None] * denser[:, None, :]).reshape(hotter.shape[0], -1)
+    log_section = jnp.einsum("hl,rlc->rhc", weight, cells.cold.reshape(2, weight.shape[1], -1), precision="highest")
+    depth = jnp.exp(log_section + jnp.log(_CO2_IN_AIR * air.column)[None, :, None])
+    until = jnp.cumsum(depth.reshape(2, _SEGMENTS, 2, -1).sum(axis=2), axis=1)
+    return jnp.exp(-until).reshape(2, _SEGMENTS, *cells.cold.shape[3:]) @ as_float(cell_shares(cells.cold.shape[-1]))
+
+
+def _hats(levels: Float[Array, " level"], place: Float[Array, " half"]) -> Float[Array, "half level"]:
+    """Weights of levels for a piecewise linear function, continued beyond its ends."""
+    first = jnp.clip(jnp.searchsorted(levels, place, side="right") - 1, 0, levels.size - 2)
+    part = ((place - levels[first]) / (levels[first + 1] - levels[first]))[:, None]
+    level = jnp.arange(levels.size)[None, :]
+    return jnp.where(level == first[:, None], 1 - part, 0) + jnp.where(level == first[:, None] + 1, part, 0)
 
 
 def _share(nodes: Nodes) -> Float[Array, "node bin"]:

@@ -40,3 +40,11 @@ class AbstractAtmosphere(Physical):
     @abc.abstractmethod
     def on(self, nodes: Nodes) -> AirPath:
         """Transmittance and radiance of the path on `nodes`. Differentiable in the fields."""
+
+    def in_front_of(self, nodes: Nodes, hottest: Float[Array, ""]) -> AirPath:
+        """The same in front of gas that is nowhere hotter than `hottest` [K].
+
+        Its lines may be those of the air, which then takes more from the quantiles of strong absorption; here it does
+        not matter. Differentiable in the fields and in `hottest`.
+        """
+        return self.on(nodes)

@@ -20,6 +20,7 @@ from jaxir.io.spectra import (
 from jaxir.io.spectra import _lines as lines_module
 from jaxir.optics.spectrum import band_radiance, resolved_nodes
 from studies import co2_lines as truth
+from studies.co2_levels import partition
 
 HOTTEST, FAINTEST = 1000.0, 1e-5  # leaves out 0.1 % of the absorption at 1000 K
 NODES = resolved_nodes(jaxir.Band("4.3", 1e4 / 2380, 1e4 / 2280), width=25.0)
@@ -32,7 +33,7 @@ def record(line, strength, energy, quanta):
     width = truth.WIDTH * (273 / 296) ** 0.5
     numbers = f" 21{line:12.6f}{strength:10.3E}{1.0:10.3E}{width:5.3f}{width:5.3f}{energy:10.4f}{0.5:4.2f}{0.0:8.6f}"
     vibration = f"{v1:8d}{v2:2d}{angular:2d}{v3 + 1:2d}1{v1:8d}{v2:2d}{angular:2d}{v3:2d}1"
-    rotation = " " * 15 + f"     {'P' if step < 0 else 'R'}{j:3d}e     "
+    rotation = " " * 15 + f"     {'PQR'[step + 1]}{j:3d}e     "
     return f"{numbers}{vibration}{rotation}465545 5 4 5 5 5 5 {2 * j + 1:7.1f}{2 * (j + step) + 1:7.1f}"
 
 
@@ -41,7 +42,7 @@ def records():
     hot, cold = truth.nu3_lines(HOTTEST, FAINTEST), 296.0
     boltzmann = np.exp(-truth.C2 * hot.energy * (1 / cold - 1 / HOTTEST))
     emission = np.expm1(-truth.C2 * hot.wavenumber / cold) / np.expm1(-truth.C2 * hot.wavenumber / HOTTEST)
-    states = truth.partition(HOTTEST) * HOTTEST / (truth.partition(cold) * cold)
+    states = partition(HOTTEST) / partition(cold)
     strength = hot.strength * boltzmann * emission * states
     order = np.argsort(hot.wavenumber)
     return [record(hot.wavenumber[i], strength[i], hot.energy[i], hot.quanta[:, i]) for i in order]
@@ -67,29 +68,20 @@ def test_the_list_is_what_it_says(listed):
 
 @pytest.mark.parametrize("temperature", [296.0, 500.0, 700.0, 1000.0])
 def test_radis_gives_the_spectrum_of_its_lines(spectra, temperature):
-    """The truth's molecule is a harmonic oscillator and rigid rotor; RADIS divides by the partition function of TIPS.
-
-    At 296 K both lists agree by definition; then only this ratio differs: 0.6 % at 700 K, 1.2 % at 1000 K.
-    """
-    from radis.levels.partfunc import PartFuncTIPS
-
-    tips = PartFuncTIPS("CO2", 1)
-    harmonic = truth.partition(temperature) * temperature / (truth.partition(296.0) * 296.0)
-    ratio = harmonic / (tips.at(temperature) / tips.at(296.0))
-    assert abs(ratio - 1) < 0.015
+    """RADIS divides by the partition function of TIPS, which that of the truth's levels is."""
     got = spectra.absorbers["CO2"](temperature, PRESSURE, 0.06)
-    exact = ratio * np.interp(spectra.wavenumber, truth.GRID, truth.cross_section(temperature, PRESSURE))
+    exact = np.interp(spectra.wavenumber, truth.GRID, truth.cross_section(temperature, PRESSURE))
     for start in range(0, 10000, 2500):
         own, true = got[start : start + 2500], exact[start : start + 2500]
         assert own.mean() == pytest.approx(true.mean(), rel=1e-3)
         depth = 1 / true.mean()  # thin and thick: the shape of the distribution, too
         for path in (0.3, 3.0):
             passed = np.exp(-path * depth * np.stack([own, true])).mean(axis=1)
-            assert passed[0] == pytest.approx(passed[1], abs=2e-3)
+            assert passed[0] == pytest.approx(passed[1], abs=3e-3)
 
 
 def test_from_a_list_to_a_gas_behind_air(spectra, tmp_path):
-    """List, tables, air, file, radiance: within 2 % of line by line, of which 0.5 % are the partition function's."""
+    """List, tables, air, file, radiance: within 2 % of line by line."""
     path, hottest = jaxir.StandardAtmosphere(10e3, 10e3, 5e3), GasState(650.0, PRESSURE, {"CO2": 0.06})
     tables = tabulate(spectra, NODES, [296.0, 400.0, 550.0, 750.0], [PRESSURE], [0.0], progress=False)
     air = slot_atmosphere(spectra, NODES, path, {"CO2": 4e-4}, hottest, segments=2, progress=False)
