@@ -23,7 +23,9 @@ HOT_TEMPERATURE = np.array([250.0, 300.0, 400.0, 600.0, 900.0, 1300.0, 1800.0, 2
 HOT_PRESSURE = np.array([5e3, 15e3, 40e3, 1e5, 2.5e5])  # Pa
 COLD_TEMPERATURE = np.array([200.0, 250.0, 310.0])  # K
 COLD_PRESSURE = np.array([3e3, 1e4, 3e4, 1e5])  # Pa
-REFERENCE = np.array([400.0, 600.0, 900.0, 1400.0, 2200.0])  # temperatures of hot CO2 whose rank makes slots [K]
+REFERENCE = np.array(
+    [400.0, 500.0, 650.0, 800.0, 1000.0, 1250.0, 1600.0, 2200.0]
+)  # temperatures of hot CO2 whose rank makes slots [K]
 REFERENCE_PRESSURE, COLD_REFERENCE = 3e4, (250.0, 3e4)
 QUANTILES, SLOTS, PARTS = 32, 16, 8
 FAINTEST = 1e-32  # m2; stands for less: no path through air or plume shows it

@@ -4,7 +4,7 @@ Between 2000 and 2400 cm-1 what a plume of CO2 emits is what CO2 in the air abso
 wavenumbers of its bin with this rank of absorption, its slot. The tables (`studies.co2_tables`) hold for every 50 cm-1
 
 - ln of the cross-section of hot CO2 at 32 quantiles, over temperature and pressure;
-- for 16 slots of the rank of CO2 at five reference temperatures, each in 8 parts by the rank of cold CO2, ln of the
+- for 16 slots of the rank of CO2 at eight reference temperatures, each in 8 parts by the rank of cold CO2, ln of the
   cold cross-section over temperature and pressure.
 
 All cells are even in s, where the share of a bin below is 1 - (1 - s)^3.
