@@ -14,7 +14,6 @@ of them.
 """
 
 import argparse
-import csv
 import functools
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +22,7 @@ import numpy as np
 
 from jaxir.optics.spectrum import SECOND_RADIATION as C2
 from studies._study import Run, study, subplots
+from studies.measurements import read_rows
 
 DATA = Path(__file__).parent / "data"
 B0, D0 = 0.390219, 1.3337e-7  # of the ground state [cm-1]
@@ -164,8 +164,8 @@ class Published(NamedTuple):
 
 def published(lines: bool) -> Published:
     """Vibrational levels, or lines."""
-    text = (DATA / "co2_levels.csv").read_text(encoding="utf-8").splitlines()
-    rows = [row for row in csv.DictReader(x for x in text if not x.startswith("#")) if bool(row["branch"]) == lines]
+    text = (DATA / "co2_levels.csv").read_text(encoding="utf-8")
+    rows = [row for row in read_rows(text) if bool(row["branch"]) == lines]
     states = [(2 * int(r["v1"]) + int(r["v2"]), int(r["l"]), int(r["v3"]), int(r["r"])) for r in rows]
     energy = np.array([float(r["energy_cm-1"]) for r in rows])
     if not lines:

@@ -1,9 +1,10 @@
 """Thin emission of CO and NO from their constants: what else shines at 4.5-5.3 um.
 
-    power of a line = n x p_v (2J + 1) exp(-c2 B J (J + 1) / T) / Q_rot  A_v H h c nu / (4 pi),    A_v = v A_1 (nu_v / nu_1)^3
+    power of a line = n x p_v (2J + 1) exp(-c2 B J (J + 1) / T) / Q_rot  A_v H h c nu / (4 pi),
+    A_v = v A_1 (nu_v / nu_1)^3
 
-Anharmonic levels, harmonic moments (Einstein coefficients within 3 % up to v = 4 of those of HITRAN), rotation of a
-simple rotor: the spin of NO is left out, which matters below the width of a bin of .01 um.
+Anharmonic levels, harmonic moments, a rotor without spin: that of NO matters below the .01 um that spectra are binned
+to.
 """
 
 from typing import NamedTuple

@@ -12,15 +12,24 @@ import numpy as np
 
 SPECTRUM = ("wavelength_um", "spectral_radiance_W_m-2_sr-1_um-1")
 PROFILE = ("radius_cm", "temperature_K", "two_dT_K", "CO", "CO2", "H2O", "NO", "OH")
-_GAP = 3.0  # times the median step
 
 
-def read_columns(path: Path, columns: Sequence[str]) -> np.ndarray:
+def read_rows(text: str) -> list[dict[str, str]]:
+    """Rows of a CSV by column name; lines with # are its citation."""
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+
+
+def read_columns(path: Path, columns: Sequence[str], gap: float = 3.0) -> np.ndarray:
     """Numbers of a CSV with just these columns, of which the first rises without gaps [column, row].
+
+    Args:
+        path: the file.
+        columns: their names, which hold the units.
+        gap: the largest step of the first column, in median steps.
 
     Raises:
         ValueError: no such file, other columns (so other units), a cell that is no finite number, a first column that
-            does not rise or has a gap of more than three median steps; names file and line.
+            does not rise or has a gap; names file and line.
     """
     if not path.is_file():
         raise ValueError(f"{path}: got no file, expected a CSV with the columns {', '.join(columns)}")
@@ -43,7 +52,7 @@ def read_columns(path: Path, columns: Sequence[str]) -> np.ndarray:
         raise ValueError(f"{path}: got {len(rows)} rows, expected at least 3")
     table = np.array(rows)
     step = np.diff(table[:, 0])
-    for i in np.flatnonzero((step <= 0) | (step > _GAP * np.median(step)))[:1]:
+    for i in np.flatnonzero((step <= 0) | (step > gap * np.median(step)))[:1]:
         where, found = f"{path}:{lines[i + 2][0]}", f"{table[i + 1, 0]:g} after {table[i, 0]:g}"
         raise ValueError(f"{where}: got {columns[0]} {found}, expected one that rises by some {np.median(step):.3g}")
     return table.T
@@ -57,7 +66,8 @@ def through_slit(wavelength: np.ndarray, spectrum: np.ndarray, top: float, base:
     Args:
         wavelength: increasing [sample].
         spectrum: at them, linear between [sample].
-        top, base: widths of the slit, in the unit of the wavelengths.
+        top: width of the slit where all passes, in the unit of the wavelengths.
+        base: its width where anything passes.
         at: centres, at least base / 2 inside the spectrum.
     """
     value = spectrum

@@ -3,7 +3,6 @@
 23 slabs of 0.05 cm at 1 atm, 2200-3409 K, behind 6 m of room air; spectra in W m-2 sr-1 / um.
 """
 
-import csv
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +15,7 @@ from jaxir.optics.air import Profile
 from jaxir.optics.spectrum import band_radiance
 from studies import co2_lines as lines
 from studies.diatomics import CO, NO, layer_emission
-from studies.measurements import PROFILE, SPECTRUM, read_columns, through_slit
+from studies.measurements import PROFILE, SPECTRUM, read_columns, read_rows, through_slit
 
 DATA = Path(__file__).parent / "data"
 SLAB, ROOM, ROOM_KELVIN = 5e-4, 6.0, 298.0  # m, m, K
@@ -123,7 +122,7 @@ def by_table(given: Torch) -> np.ndarray:
     all before it (Curtis and Godson). The air is the mean of the lines' transmittance in each bin.
     """
     text = resources.files("jaxir").joinpath("data", "hot_gas_narrow_band_50cm.csv").read_text(encoding="utf-8")
-    rows = [r for r in csv.DictReader(x for x in text.splitlines() if not x.startswith("#")) if r["species"] == "CO2"]
+    rows = [row for row in read_rows(text) if row["species"] == "CO2"]
     low = np.arange(2000.0, 2400.0, 50.0)
     levels = np.log([1500.0, 2000.0, 2500.0])
     room = np.exp(-ROOM * lines.absorption(ROOM_KELVIN, lines.ATMOSPHERE, ROOM_CO2))
