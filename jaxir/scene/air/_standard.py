@@ -17,7 +17,6 @@ from jaxir.optics.air import (
     path_emission,
     path_transmittance,
     slot_path,
-    us_standard_1976,
 )
 from jaxir.optics.spectrum import Nodes, bins_inside
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
