@@ -52,7 +52,9 @@ def render_command(arguments: argparse.Namespace) -> None:
             asked = read.render | split_by(arguments)
             image = naming(read, partial(render, scene, camera, read.bands, method=read.method, **asked))
             if bool(image.outcome == Outcome.samples_spent):
-                warnings.warn(f"{read.file}: render.rtol was not met with {int(image.samples)} samples", stacklevel=1)
+                missed = "pixel_rtol" if "pixel_rtol" in asked else "rtol"
+                said = f"{read.file}: render.{missed} was not met with {int(image.samples)} samples"
+                warnings.warn(said, stacklevel=1)
             errors = image.error_budget(arguments.errors)
             warn_of_errors(read, errors)
             conditions = conditions_of(

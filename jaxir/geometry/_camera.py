@@ -76,7 +76,12 @@ class Camera(eqx.Module):
             Screen points [tile, pixel, 2] [m]; pixels beyond the image's edge continue its raster, or where it is
             graded repeat its last row or column.
         """
-        row, column = self._raster(tile)
+        return self.points(*self._raster(tile), offset)
+
+    def points(
+        self, row: Int[Array, "*#batch"], column: Int[Array, "*#batch"], offset: Float[Array, "*batch 2"]
+    ) -> Float[Array, "*batch 2"]:
+        """Screen points [*batch, 2] [m] at places in [0, 1) inside pixels."""
         if self.grading is None:
             x = column.astype(offset.dtype) + offset[..., 0]
             y = row.astype(offset.dtype) + offset[..., 1]
@@ -150,7 +155,7 @@ def view_checks(views: Float[Array, "view 2"]) -> list[Check]:
     return [finite("views", views), ELEVATION("views: elevation", views, lambda aspect: aspect[..., 1])]
 
 
-def _between(edges: Float[Array, " edge"], pixel: Int[Array, "*batch"], offset: Float[Array, "*batch"]) -> Array:
+def _between(edges: Float[Array, " edge"], pixel: Int[Array, "*#batch"], offset: Float[Array, "*batch"]) -> Array:
     """Place inside pixels between edges [*batch]."""
     first = jnp.minimum(pixel, edges.shape[0] - 2)
     return edges[first] + offset * (edges[first + 1] - edges[first])

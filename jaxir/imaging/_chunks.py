@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, enforce, on_host, placed
-from jaxir.geometry import TILE, Camera, pixel_strata, stratum_points, tile_rays
+from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays
 from jaxir.geometry.search import may_see
 from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes
@@ -98,6 +98,16 @@ class Pass(NamedTuple):
         return self.tiles_at_once * -(-self._share // self.tiles_at_once)
 
     @property
+    def spots(self) -> int:
+        """Strata of single pixels that are traced together."""
+        return self._at_once * TILE * TILE // 2
+
+    @property
+    def uniform(self) -> bool:
+        """Whether the empty image is the same in all pixels."""
+        return self.lit.scene.background is None or self.lit.scene.background.uniform
+
+    @property
     def _at_once(self) -> int:
         return max(TILES_AT_ONCE // self._each, 1)
 
@@ -157,22 +167,31 @@ def as_number(number: int) -> Array:
 @eqx.filter_jit
 def whole_image(taken: Pass, parts: Estimate) -> Image:
     """The image of the estimates of all chunks, stacked."""
+    return image_of_pixels(taken, every_pixel(taken, parts), 2 * taken.strata[0] * taken.strata[1])
+
+
+@eqx.filter_jit
+def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
+    """The estimates [row, column, ...] of all chunks, stacked."""
     camera = taken.camera
-    mean, variance = _untile(camera, parts.mean), _untile(camera, parts.variance)
-    empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else _untile(camera, parts.empty)
-    orders = None
-    if parts.orders is not None:
-        orders = _untile(camera, parts.orders.reshape((*parts.orders.shape[:3], -1)))
-        orders = orders.reshape((*orders.shape[:2], 2, -1))
-    by_component = None
-    if parts.parts is not None:
-        by_component = _untile(camera, parts.parts.reshape((*parts.parts.shape[:3], -1)))
-        by_component = by_component.reshape((*by_component.shape[:2], *parts.parts.shape[3:]))
+
+    def whole(value: Any) -> Any:
+        if value is None:
+            return None
+        return _untile(camera, value.reshape((*value.shape[:3], -1))).reshape((*camera.shape, *value.shape[3:]))
+
+    empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else whole(parts.empty)
+    return Estimate(whole(parts.mean), whole(parts.variance), empty, whole(parts.orders), whole(parts.parts))
+
+
+@eqx.filter_jit
+def image_of_pixels(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""]) -> Image:
+    """The image of estimates [row, column, ...] from `samples` rays per pixel."""
+    camera, nodes = taken.camera, taken.lit.nodes
     names = () if taken.components is None else taken.components.names
-    samples = 2 * taken.strata[0] * taken.strata[1]
-    nodes, outside = taken.lit.nodes, share_outside(taken.lit, camera)
-    about = error_of_bands(taken.lit), nodes.error, outside, names, by_component
-    return image_of(camera, nodes.names, mean, variance, empty, samples, orders, *about)
+    about = error_of_bands(taken.lit), nodes.error, share_outside(taken.lit, camera), names, pixels.parts
+    own = pixels.mean, pixels.variance, pixels.empty, samples, pixels.orders
+    return image_of(camera, nodes.names, *own, *about)
 
 
 def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
@@ -188,16 +207,16 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     Before a uniform background no ray is taken in tiles that see nothing of the scene.
     """
     lit, camera, key = taken.lit, taken.camera, taken.key
-    uniform = lit.scene.background is None or lit.scene.background.uniform
+    uniform = taken.uniform
     empty = lit.nodes.in_band(lit.empty(camera.frame[:1, None])) if uniform else None
     tile, together, start = taken.tile(chunk), taken.tiles_at_once, lit.scene.start(camera)
     some = may_see(lit.scene.outline(), camera, tile) if uniform else jnp.ones(tile.shape, bool)
     order = jnp.argsort(~some, stable=True)  # tiles that see something go together
 
-    def block(own: tuple[Array, Array, Array]) -> tuple[_Seen, Array]:
+    def block(own: tuple[Array, Array, Array]) -> tuple[Seen, Array]:
         tile, key, some = own
 
-        def nothing() -> tuple[_Seen, Array]:
+        def nothing() -> tuple[Seen, Array]:
             dark = _dark(taken, empty)
             assert empty is not None
             parts = dark.parts
@@ -218,36 +237,31 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     return Estimate(mean.radiance, variance, mean.empty if empty is None else empty, mean.orders, mean.parts)
 
 
-def _dark(taken: Pass, empty: Array | None) -> _Seen:
+def _dark(taken: Pass, empty: Array | None) -> Seen:
     """No light in the pixels of the tiles that are handled at once."""
     pixels = (taken.tiles_at_once, TILE * TILE)
     bands, dtype = taken.lit.nodes.response.shape[0], taken.camera.pixel.dtype
     zero = jnp.zeros((*pixels, bands), dtype)
     orders = None if not taken.method.samples_particles(taken.lit.scene) else jnp.zeros((*pixels, 2, bands), dtype)
     parts = None if taken.components is None else jnp.zeros((*pixels, len(taken.components.names), bands), dtype)
-    return _Seen(zero, zero if empty is None else None, orders, parts)
+    return Seen(zero, zero if empty is None else None, orders, parts)
 
 
 def _estimate(
     taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], start: Float[Array, ""], empty: Array | None
-) -> tuple[_Seen, Array]:
+) -> tuple[Seen, Array]:
     """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
-    lit, camera, strata, method = taken.lit, taken.camera, taken.strata, taken.method
+    camera, strata = taken.camera, taken.strata
     size, some, count = tile.shape[0], taken.strata_at_once, strata[0] * strata[1]
     for_pixels, for_paths = jax.random.split(own)
 
-    def group(carry: tuple[_Seen, Array], first: Array) -> tuple[tuple[_Seen, Array], None]:
+    def group(carry: tuple[Seen, Array], first: Array) -> tuple[tuple[Seen, Array], None]:
         index = first + jnp.arange(some, dtype=jnp.int32)
         offset = jax.vmap(lambda i: stratum_points(for_pixels, i, size, strata))(index)
         bundle = tile_rays(camera, tile, offset, start)
-        paths = trace(lit.scene, bundle, method, jax.random.fold_in(for_paths, first))
-        found = evaluate_orders(lit, paths)
-        orders = jnp.stack([found.last, found.before], axis=1) if method.samples_particles(lit.scene) else None
-        parts = None if taken.components is None else evaluate_components(lit, paths, taken.components)
-        without = lit.empty(bundle.rays().direction) if empty is None else None
         seen = jax.tree.map(
-            lambda value: lit.nodes.in_band(value).reshape((size, TILE * TILE, some, 2, *value.shape[1:-1], -1)),
-            _Seen(found.radiance, without, orders, parts),
+            lambda value: value.reshape((size, TILE * TILE, some, 2, *value.shape[1:])),
+            see(taken, bundle, jax.random.fold_in(for_paths, first)),
         )
 
         def added(value: Array) -> Array:
@@ -264,13 +278,24 @@ def _estimate(
     return jax.tree.map(lambda sum: sum / count, total), square / count**2
 
 
-class _Seen(NamedTuple):
-    """What rays see [ray, node] or pixels [tile, pixel, band]: all, without the scene, two orders, components."""
+class Seen(NamedTuple):
+    """What rays see [ray, band] or pixels [tile, pixel, band]: all, without the scene, two orders, components."""
 
     radiance: Array
     empty: Array | None
     orders: Array | None
     parts: Array | None
+
+
+def see(taken: Pass, bundle: Bundle, key: Key[Array, ""]) -> Seen:
+    """What rays see; nothing for `empty` where that is the same for all."""
+    lit, method = taken.lit, taken.method
+    paths = trace(lit.scene, bundle, method, key)
+    found = evaluate_orders(lit, paths)
+    orders = jnp.stack([found.last, found.before], axis=1) if method.samples_particles(lit.scene) else None
+    parts = None if taken.components is None else evaluate_components(lit, paths, taken.components)
+    without = None if taken.uniform else lit.empty(bundle.rays().direction)
+    return jax.tree.map(lit.nodes.in_band, Seen(found.radiance, without, orders, parts))
 
 
 def reach_to_eye(scene: Scene, camera: Camera) -> Float[Array, ""]:

@@ -114,14 +114,14 @@ def item_by_item(
     One by one with the result of one, or with `devices` one of each and the results stacked [item, ...].
     """
     if devices is None:
-        with _progress(label, len(items)) as done:
+        with progress(label, len(items)) as done:
             for item in items:
                 yield np.asarray([item]), jax.block_until_ready(function(inputs, placed(item)))
                 done(1)
         return
     shared = NamedSharding(devices, PartitionSpec())
     inputs = eqx.filter_shard(inputs, shared)  # in every process they must be the same
-    with _progress(label, len(items)) as done:
+    with progress(label, len(items)) as done:
         for start in range(0, items.shape[0], devices.size):
             own = items[start : start + devices.size]
             row = eqx.filter_shard(placed(_rows(own, devices.size)[0]), shared)
@@ -132,7 +132,7 @@ def item_by_item(
 
 
 @contextlib.contextmanager
-def _progress(label: str, count: int) -> Iterator[Callable[[int], None]]:
+def progress(label: str, count: int) -> Iterator[Callable[[int], None]]:
     """A bar for what takes more than 5 s; the first step, which compiles what is new, counts in no estimate."""
     with tqdm(total=count, desc=f"{label}: compiling, once for scenes of this structure", delay=5, leave=False) as bar:
 

@@ -21,8 +21,8 @@ class Outcome(eqx.Enumeration):
     """Why a computation ended."""
 
     samples_taken = "All samples asked for were taken."
-    tolerance_met = "The standard error of every band's intensity fell below the relative tolerance."
-    samples_spent = "The samples were spent before the standard error met the relative tolerance."
+    tolerance_met = "The standard error of every band fell below the tolerance asked for."
+    samples_spent = "The samples were spent before the standard error met the tolerance asked for."
 
 
 class Image(eqx.Module):
@@ -35,7 +35,7 @@ class Image(eqx.Module):
             [row | 1, column | 1, band].
         camera: what took it.
         bands: band names.
-        samples: rays taken per pixel.
+        samples: rays taken per pixel, on average where some pixels got more.
         outcome: why no more were taken, an item of `Outcome`.
         orders: what the last two orders of scattering brought of the radiant intensity, the last first [2, band]
             [W sr-1]; None without particles.
@@ -153,7 +153,7 @@ def image_of(
     mean: Float[Array, "row column band"],
     variance: Float[Array, "row column band"],
     empty: Float[Array, "_row _column band"],
-    samples: int,
+    samples: int | Int[Array, ""],
     orders: Float[Array, "row column 2 band"] | None,
     unresolved: Float[Array, " band"] | None,
     spectral: Float[Array, " band"] | None,

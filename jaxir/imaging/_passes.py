@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -10,9 +11,19 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
-from jaxir._arrays import key_or_default
+from jaxir._arrays import key_or_default, placed
 from jaxir.geometry import Camera, pixel_strata
-from jaxir.imaging._chunks import PARTS, Pass, as_number, estimate_chunk, first_pass, whole_image
+from jaxir.imaging._adaptive import Goal, Strata, adapted, with_strata
+from jaxir.imaging._chunks import (
+    PARTS,
+    Pass,
+    as_number,
+    estimate_chunk,
+    every_pixel,
+    first_pass,
+    image_of_pixels,
+    whole_image,
+)
 from jaxir.imaging._devices import is_traced, over_items, shared_by
 from jaxir.imaging._image import Image, Outcome, joined, meets
 from jaxir.imaging._left_out import Asked
@@ -32,6 +43,7 @@ def render(
     key: Key[Array, ""] | None = None,
     method: Method | None = None,
     rtol: float | None = None,
+    pixel_rtol: float | None = None,
     max_samples: int = 4096,
     devices: Mesh | None = None,
     components: str | None = None,
@@ -57,6 +69,10 @@ def render(
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
             the intensity: passes of `samples` if given, else as `jaxir.plan` foretells. None takes one pass.
             `Image.outcome` says whether it was met.
+        pixel_rtol: place rays where the error is (see `jaxir.imaging._adaptive`) until the root mean square standard
+            error over the pixels that see the target is at most this share of their mean contrast to the empty image,
+            in every band; with rtol, both. Every pixel gets two rays of the image, and those that a pilot of eight
+            finds to vary strata of their own, so `samples` has no meaning.
         max_samples: rays per pixel at which to give up.
         devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
             `jax.distributed.initialize`, in many; every process gets the whole image. The numbers are those of one
@@ -69,8 +85,8 @@ def render(
         The image. Memory beyond it is bounded by the rays of `TILES_AT_ONCE` tiles, 256 each.
 
     Raises:
-        ValueError: wrong shapes, values out of range, an eye inside the scene, `rtol` inside jit, <= 0 or beyond
-            the precision in force; components with `DiscreteOrdinates` of particles.
+        ValueError: wrong shapes, values out of range, an eye inside the scene, tolerances inside jit, <= 0 or beyond
+            the precision in force, `samples` beside `pixel_rtol`; components with `DiscreteOrdinates` of particles.
 
     Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
     geometry is seen as fixed.
@@ -83,10 +99,11 @@ def render(
         key=key,
         method=method,
         rtol=rtol,
+        pixel_rtol=pixel_rtol,
         max_samples=max_samples,
         components=components,
     )
-    planned = samples is None and rtol is not None
+    planned = samples is None and rtol is not None and pixel_rtol is None
     samples = 8 if samples is None else samples
     if planned and rtol is not None:
         found = plan_pass(first._replace(components=None), rtol, max_samples, method is not None)
@@ -100,6 +117,22 @@ def render(
         asked = Asked(scene, taken.lit.nodes, camera, taken.method)
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
+    def ended(image: Image, met: bool) -> Image:
+        outcome = Outcome.tolerance_met if met else Outcome.samples_spent
+        return eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
+
+    if pixel_rtol is not None:
+
+        def with_own(number: int, strata: Strata) -> Image:
+            taken = first._replace(number=as_number(number), strata=(1, 1))
+            pixels = over_items(estimate_chunk, every_pixel, taken, taken.chunks(), "render", mesh)
+            pixels = with_strata(taken, pixels, strata)
+            mean = 2 + 2 * (strata.count - 1).sum() / math.prod(camera.shape)
+            image = image_of_pixels(taken, pixels, placed(np.int32(round(mean))))
+            return dataclasses.replace(image, asked=Asked(scene, taken.lit.nodes, camera, taken.method))
+
+        noisy = first.method.needs_key(first.lit.scene)
+        return ended(*adapted(lambda n: take(n, 2), with_own, Goal(rtol, pixel_rtol), noisy, max_samples))
     image = take(0, samples)
     if rtol is None:
         return image
@@ -112,8 +145,7 @@ def render(
         more = top_up(image, rtol, samples) if planned else samples
         passes.append(take(len(passes), more))
         image = joined(image, passes[-1])
-    outcome = Outcome.tolerance_met if enough() else Outcome.samples_spent
-    return eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
+    return ended(image, enough())
 
 
 def by_luck(passes: list[Image], image: Image, rtol: float) -> bool:
@@ -137,16 +169,21 @@ def prepare_image(
     key: Key[Array, ""] | None,
     method: Method | None,
     rtol: float | None,
+    pixel_rtol: float | None,
     max_samples: int,
     components: str | None,
 ) -> Pass:
     """Check what `render` is asked and make its first pass ready; arguments and errors as there."""
     key = key_or_default(key)
-    if rtol is not None:
+    for name, tolerance in (("rtol", rtol), ("pixel_rtol", pixel_rtol)):
+        if tolerance is None:
+            continue
         if is_traced((scene, camera, key, method)):
-            raise ValueError("rtol: got values known only inside jit, expected a call outside it, or rtol=None")
-        require_rtol(rtol)
-    least = samples if samples is not None else 8 if rtol is None else FEW
+            raise ValueError(f"{name}: got values known only inside jit, expected a call outside it, or {name}=None")
+        require_rtol(tolerance, name)
+    if pixel_rtol is not None and samples is not None:
+        raise ValueError(f"samples: got {samples} beside pixel_rtol, expected None: pixels get what they need")
+    least = samples if samples is not None else 8 if rtol is None and pixel_rtol is None else FEW
     if max_samples < least:
         raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
     return first_pass(scene, camera, bands, key, least, Method() if method is None else method, components)

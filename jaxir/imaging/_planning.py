@@ -66,16 +66,16 @@ class Plan(NamedTuple):
         return "\n".join(f"{term.name}: {term.sentence}." for term in self.terms)
 
 
-def require_rtol(rtol: float) -> None:
+def require_rtol(rtol: float, name: str = "rtol") -> None:
     """Raise `ValueError` unless the tolerance is positive and the precision in force can hold it."""
     if not rtol > 0:
-        raise ValueError(f"rtol: got {rtol}, expected > 0")
+        raise ValueError(f"{name}: got {rtol}, expected > 0")
     dtype = float_dtype()
     least = LEAST * float(jnp.finfo(dtype).eps)
     if rtol < least:
         double = LEAST * float(np.finfo(np.float64).eps)
         need = "float64: jax.config.update('jax_enable_x64', True)" if rtol >= double else "more than float64"
-        raise ValueError(f"rtol: got {rtol}, expected at least {least:.2g} in {dtype}; {rtol} needs {need}")
+        raise ValueError(f"{name}: got {rtol}, expected at least {least:.2g} in {dtype}; {rtol} needs {need}")
 
 
 def plan(

@@ -1,0 +1,257 @@
+"""Rays where the error is: an image to an error of its pixels.
+
+A pilot of few rays, which are not part of the answer, tells how much each pixel varies; an image that places its rays
+by the samples that it averages is biased (Kirk and Arvo, "Unbiased sampling techniques for image synthesis", 1991). The
+variance of a pixel falls with its rays as c / n^a: a = 3/2 where edges cross it (`ErrorLaw`), 1 where lights are
+sampled.
+The sum over pixels is least for a number of rays where one more ray is worth the same in each,
+
+    n_p = (a c_p / mu)^(1 / (1 + a)),    mu so that    sum_p c_p / n_p^a = what is allowed.
+
+Every pixel gets two rays, or strata of its own where n_p is more. What a pixel varies is half its own
+pilot's and half that of the nine around it: a pilot may have missed an edge that crosses its neighbours.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from functools import partial, reduce
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxir._arrays import placed
+from jaxir.geometry import TILE, Camera
+from jaxir.imaging._chunks import Estimate, Pass, Seen, see
+from jaxir.imaging._devices import progress
+from jaxir.imaging._image import Image, joined
+
+PILOT = 4  # passes of the pilot, of two rays per pixel each
+MARGIN = 0.9  # of the error asked for that is aimed at: what the pilot tells is itself uncertain
+ROUNDS = 3  # at most; each decides for the next
+OF_SPOTS = 2**32 - 2  # beside the numbers of passes, for the random numbers of pixels with strata of their own
+_HALVINGS = 48
+
+
+class Goal(NamedTuple):
+    """What is asked of an image: relative errors, None for what is not asked.
+
+    Attributes:
+        rtol: of the radiant intensity of every band.
+        pixel_rtol: root mean square over the pixels that see the target, of their mean contrast to the empty image, of
+            every band.
+    """
+
+    rtol: float | None
+    pixel_rtol: float | None
+
+    def weight(self, image: Image) -> Float[np.ndarray, "row column band"]:
+        """w of each pixel: the goal is met where sum_p w_p v_p <= 1 in every band, v_p the variances."""
+        contrast = np.abs(np.asarray(image.radiance, np.float64) - np.asarray(image.empty, np.float64))
+        weight = np.zeros_like(contrast)
+        if self.pixel_rtol is not None:
+            seen = (contrast > 0).sum(axis=(0, 1))
+            allowed = seen * (self.pixel_rtol * contrast.sum(axis=(0, 1)) / np.maximum(seen, 1)) ** 2
+            weight = np.maximum(weight, _over(1.0, allowed))
+        if self.rtol is not None:
+            area = np.asarray(image.camera.pixel_area(), np.float64)[:, :, None]
+            intensity = np.asarray(image.radiant_intensity(), np.float64)
+            weight = np.maximum(weight, _over(area**2, (self.rtol * intensity) ** 2))
+        return weight
+
+    def excess(self, image: Image) -> float:
+        """Error of an image over the error asked for, of the worst band."""
+        variance = np.asarray(image.standard_error, np.float64) ** 2
+        return float(np.sqrt((self.weight(image) * variance).sum(axis=(0, 1)).max()))
+
+
+def _over(value: float | np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """value / allowed; 0 for a dark band, of which nothing can be asked."""
+    return np.where(allowed > 0, value / np.where(allowed > 0, allowed, 1), 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Strata:
+    """Pixels with strata of their own, those of a tile side by side.
+
+    Attributes:
+        row, column: of each pixel [pixel].
+        cells: columns and rows of its strata [pixel, 2].
+    """
+
+    row: Int[np.ndarray, " pixel"]
+    column: Int[np.ndarray, " pixel"]
+    cells: Int[np.ndarray, "pixel 2"]
+
+    @property
+    def count(self) -> Int[np.ndarray, " pixel"]:
+        """Strata of each pixel."""
+        return self.cells[:, 0] * self.cells[:, 1]
+
+
+def adapted(
+    base: Callable[[int], Image], with_own: Callable[[int, Strata], Image], goal: Goal, noisy: bool, most: int
+) -> tuple[Image, bool]:
+    """An image whose rays lie where its error is, and whether the goal is met.
+
+    Args:
+        base: an image of two rays in every pixel, of a number of a pass.
+        with_own: the same with strata of their own in some pixels.
+        goal: what is asked.
+        noisy: whether anything but the point in a pixel is drawn at random.
+        most: rays in a pixel at most.
+    """
+    pilot, power = reduce(joined, [base(number) for number in range(PILOT)]), 1.0 if noisy else 1.5
+    if goal.excess(pilot) <= 1 / 3:  # few rays tell their own error poorly
+        return pilot, True
+    variance = PILOT * np.asarray(pilot.standard_error, np.float64) ** 2
+    constant = _around((goal.weight(pilot) * variance).max(axis=-1) * 2**power)
+    for number in range(PILOT, PILOT + ROUNDS):
+        count = placement(constant, power, most)
+        image = with_own(number, strata_of(count, pilot.camera))
+        if goal.excess(image) <= 1:
+            return image, True
+        variance = np.asarray(image.standard_error, np.float64) ** 2
+        found = (goal.weight(image) * variance).max(axis=-1) * (2.0 * count) ** power
+        constant = np.maximum(constant, _around(found))
+    return image, False
+
+
+def _around(constant: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
+    """Half each pixel's own, half the mean of the nine around it."""
+    padded = np.pad(constant, 1, mode="edge")
+    rows, columns = constant.shape
+    nine = sum(padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3))
+    return constant / 2 + nine / 18
+
+
+def placement(constant: Float[np.ndarray, "row column"], power: float, most: int) -> Int[np.ndarray, "row column"]:
+    """Strata of two rays in each pixel, in rows and columns nearly square; 1 for what two rays in the pixel do.
+
+    Args:
+        constant: c of c / n^power, the share of the variance allowed that n rays bring.
+        power: a.
+        most: rays in a pixel at most.
+    """
+    varied = constant[constant > 0]
+    if varied.size == 0:
+        return np.ones(constant.shape, np.int64)
+    shape = varied ** (1 / (1 + power))
+
+    def strata(scale: float) -> np.ndarray:
+        return well_shaped_strata(np.minimum(scale * shape / 2, most / 2))
+
+    low, high = 0.0, most / shape.min()
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        allowed = (varied / (2.0 * strata(middle)) ** power).sum() <= MARGIN**2
+        low, high = (low, middle) if allowed else (middle, high)
+        if high - low < 1e-3 * high:
+            break
+    count = np.ones(constant.shape, np.int64)
+    count[constant > 0] = strata(high)
+    return count
+
+
+def well_shaped_strata(wanted: np.ndarray) -> Int[np.ndarray, " pixel"]:
+    """k^2 or k (k + 1), at most `wanted` but for less than half the step to the next, and at least 1."""
+    side = np.floor(np.sqrt(np.maximum(wanted, 1)) + 1e-9).astype(np.int64)
+    steps = np.stack([side * side, side * (side + 1), (side + 1) ** 2])
+    return np.take_along_axis(steps, np.abs(steps - wanted[None]).argmin(axis=0)[None], axis=0)[0]
+
+
+def strata_of(count: Int[np.ndarray, "row column"], camera: Camera) -> Strata:
+    """The pixels with more than one stratum, tile by tile."""
+    row, column = np.nonzero(count > 1)
+    order = np.lexsort((column, row, column // TILE, row // TILE))
+    row, column = row[order], column[order]
+    columns = np.ceil(np.sqrt(count[row, column]) - 1e-9).astype(np.int64)
+    return Strata(row, column, np.stack([columns, count[row, column] // columns], axis=-1))
+
+
+class Spots(NamedTuple):
+    """Strata of pixels, two rays in each.
+
+    Attributes:
+        row, column: of the pixel [spot].
+        corner: column and row of the stratum in it [spot, 2].
+        cells: columns and rows of strata in it [spot, 2].
+    """
+
+    row: Array
+    column: Array
+    corner: Array
+    cells: Array
+
+
+def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
+    """Estimates of all pixels [row, column], with strata of their own in some in the place of `base`."""
+    size = taken.spots
+    count, end = strata.count, np.cumsum(strata.count)
+    sums: Any = None
+    with progress("render", -(-int(end[-1] if end.size else 0) // size)) as done:
+        for number, (pixel, spots) in enumerate(_in_chunks(strata, end, size)):
+            seen = jax.device_get(_seen_at(taken, spots, placed(np.uint32(number))))
+            if sums is None:
+                sums = jax.tree.map(lambda leaf: np.zeros((count.size, *leaf.shape[1:])), seen)
+            jax.tree.map(partial(_add_by_pixel, pixel), sums, seen)
+            done(1)
+    if sums is None:
+        return base
+    seen, square = sums
+
+    def mixed(image: Any, own: np.ndarray | None, divisor: np.ndarray) -> Any:
+        if own is None:
+            return image
+        changed = np.array(image)
+        changed[strata.row, strata.column] = own / divisor.reshape(-1, *(1,) * (own.ndim - 1))
+        return placed(changed)
+
+    return Estimate(
+        mixed(base.mean, seen.radiance, count),
+        mixed(base.variance, square, count**2.0),
+        mixed(base.empty, seen.empty, count),
+        mixed(base.orders, seen.orders, count),
+        mixed(base.parts, seen.parts, count),
+    )
+
+
+def _add_by_pixel(pixel: np.ndarray, total: np.ndarray, leaf: np.ndarray) -> None:
+    """Add spots to their pixels; those of a pixel lie side by side."""
+    starts = np.flatnonzero(np.diff(pixel, prepend=-1))
+    total[pixel[starts]] += np.add.reduceat(leaf[: pixel.size], starts, axis=0, dtype=float)
+
+
+def _in_chunks(strata: Strata, end: np.ndarray, size: int) -> Iterator[tuple[np.ndarray, Spots]]:
+    """Pixel of each spot, and the spots, of which the last fill up the last chunk."""
+    total = int(end[-1]) if end.size else 0
+    for start in range(0, total, size):
+        index = np.arange(start, start + size)
+        pixel = np.searchsorted(end, np.minimum(index, total - 1), side="right")
+        within = np.minimum(index, total - 1) - (end - strata.count)[pixel]
+        cells = strata.cells[pixel]
+        corner = np.stack([within % cells[:, 0], within // cells[:, 0]], axis=-1)
+        spots = (strata.row[pixel], strata.column[pixel], corner, cells)
+        yield pixel[: min(size, total - start)], Spots(*(placed(part.astype(np.int32)) for part in spots))
+
+
+@eqx.filter_jit
+def _seen_at(taken: Pass, spots: Spots, number: Array) -> tuple[Seen, Float[Array, "spot band"]]:
+    """Mean of two rays in each stratum, and a quarter of their squared difference."""
+    camera = taken.camera
+    own = jax.random.fold_in(jax.random.fold_in(jax.random.fold_in(taken.key, OF_SPOTS), taken.number), number)
+    for_places, for_paths = jax.random.split(own)
+    word = jax.random.bits(for_places, (spots.row.shape[0], 2), jnp.uint32)
+    dtype = camera.pixel.dtype
+    jitter = (jnp.stack([word >> 16, word & 0xFFFF], axis=-1).astype(dtype) + 0.5) / 65536
+    place = (spots.corner.astype(dtype)[:, None] + jitter) / spots.cells.astype(dtype)[:, None]
+    screen = camera.points(spots.row[:, None], spots.column[:, None], place)
+    bundle = camera.bundle(screen.reshape(-1, 2), taken.lit.scene.start(camera))
+    seen = jax.tree.map(lambda value: value.reshape((-1, 2, *value.shape[1:])), see(taken, bundle, for_paths))
+    mean = jax.tree.map(lambda value: (value[:, 0] + value[:, 1]) / 2, seen)
+    return mean, (seen.radiance[:, 0] - seen.radiance[:, 1]) ** 2 / 4

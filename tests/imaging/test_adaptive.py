@@ -1,0 +1,110 @@
+"""Rays where the error is: unbiased, as exact as was asked, and fewer."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir.imaging._adaptive import MARGIN, placement, strata_of, well_shaped_strata
+from tests.scenes import box_mesh
+
+CAMERA = jaxir.orthographic_camera(35.0, 25.0, 0.08, (40, 40))
+SUN = jaxir.ParallelSource((-0.6, 0.0, -0.8), 40.0)
+PLUME = jaxir.GridPlume(jaxir.Grid((-1.5, -0.4, -0.4), (0.4, 0.4, 0.4), (2, 2, 2)), 500.0, jaxir.GrayGas(0.8))
+SCENE = jaxir.Scene(jaxir.Skin(box_mesh(), 320.0, jaxir.Lambert(0.7)), PLUME, SUN)
+
+
+def rendered(key, **asked):
+    return jaxir.render(SCENE, CAMERA, jaxir.MWIR, key=jax.random.key(key), **asked)
+
+
+def test_neither_the_pixels_nor_their_sum_are_biased_and_the_errors_are_those_told():
+    truth = rendered(1000, samples=3200)
+    contrast = np.asarray(truth.radiance - truth.empty)[..., 0]
+    images = [rendered(key, pixel_rtol=1e-2) for key in range(60)]
+    assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
+    intensity = np.array([image.radiant_intensity()[0] for image in images], float)
+    error = np.array([image.intensity_error()[0] for image in images], float)
+    known = float(truth.intensity_error()[0])
+    off = intensity.mean() - float(truth.radiant_intensity()[0])
+    assert abs(off) < 4 * np.hypot(intensity.std(ddof=1) / len(images) ** 0.5, known)
+    assert 0.75 < intensity.std(ddof=1) / np.sqrt(np.mean(error**2)) < 1.3  # 60 keys: standard deviation .09
+    apart = np.array([np.asarray(image.radiance)[..., 0] for image in images]) - np.asarray(truth.radiance)[..., 0]
+    obtained = np.sqrt((apart**2)[:, contrast > 0].mean()) / contrast[contrast > 0].mean()
+    assert 0.6e-2 < obtained < 1e-2
+    spread = apart.std(axis=0, ddof=1)
+    varied = spread > 1e-4 * contrast[contrast > 0].mean()
+    told = np.asarray(truth.standard_error, float)[..., 0]
+    z = apart.mean(axis=0)[varied] / np.hypot(spread[varied] / len(images) ** 0.5, told[varied])
+    assert varied.sum() > 150 and 0.7 < np.mean(z**2) < 1.4 and np.abs(z).max() < 5
+
+
+def test_rays_lie_where_the_error_is():
+    adaptive, even = rendered(1, pixel_rtol=1e-2), rendered(1, samples=288)
+    error = [np.sqrt((np.asarray(i.standard_error) ** 2).sum()) for i in (adaptive, even)]
+    assert error[0] < error[1] and int(adaptive.samples) < 288 / 6
+
+
+def test_a_scene_without_variance_takes_no_more_than_the_pilot():
+    room = jaxir.Scene(jaxir.Skin(box_mesh(), 300.0, jaxir.Lambert(1.0)), background=jaxir.BlackbodyBackground(300.0))
+    image = jaxir.render(room, CAMERA, jaxir.MWIR, pixel_rtol=1e-3)
+    assert bool(image.outcome == jaxir.Outcome.tolerance_met) and int(image.samples) == 8
+    dark = jaxir.Scene(jaxir.Skin(box_mesh(), 1.0, jaxir.Lambert(1.0)))  # no MWIR at all
+    assert float(jaxir.render(dark, CAMERA, jaxir.MWIR, pixel_rtol=1e-3).radiance.max()) == 0
+
+
+def test_what_comes_with_the_radiance_is_averaged_by_the_same_rays():
+    """A sky that is not even, and orders of scattering."""
+    sky = jaxir.ElevationTable([-90.0, 0.0, 90.0], [[5.0], [4.0], [1.0]])
+    cloud = jaxir.GrayParticles(0.5, 0.8, jaxir.Isotropic())
+    scene = jaxir.Scene(None, jaxir.GridPlume(PLUME.grid, 500.0, PLUME.gas, cloud), SUN, sky)
+    camera = jaxir.perspective_camera(35.0, 25.0, 20.0, 4e-3, (40, 40))
+    asked = dict(method=jaxir.Method(orders=2))
+    image = jaxir.render(scene, camera, jaxir.MWIR, pixel_rtol=2e-2, **asked)
+    even = jaxir.render(scene, camera, jaxir.MWIR, samples=32, **asked)
+    assert int(image.samples) > 2
+    np.testing.assert_allclose(image.empty, even.empty, rtol=0.02)
+    np.testing.assert_allclose(image.orders, even.orders, rtol=0.2)
+    error = float(np.hypot(image.intensity_error()[0], even.intensity_error()[0]))
+    assert abs(float((image.radiant_intensity() - even.radiant_intensity())[0])) < 4 * error
+
+
+@pytest.mark.parametrize("power", [1.0, 1.5])
+def test_one_more_ray_is_worth_the_same_in_every_pixel(power):
+    rng = np.random.default_rng(3)
+    constant = np.exp(rng.normal(-3.0, 3.0, (30, 40))) * (rng.uniform(size=(30, 40)) < 0.4)
+    count = placement(constant, power, 2**40)
+    assert (count[constant == 0] == 1).all()
+    left = (constant[constant > 0] / (2.0 * count[constant > 0]) ** power).sum()
+    assert 0.97 * MARGIN**2 < left <= MARGIN**2
+    many = count > 100
+    worth = constant[many] / (2.0 * count[many]) ** (power + 1)
+    assert worth.std() < 0.1 * worth.mean()
+    capped = placement(constant, power, 64)
+    assert capped.max() <= 32
+    strata = strata_of(count, CAMERA)
+    assert (strata.count == count[strata.row, strata.column]).all() and strata.count.min() > 1
+
+
+def test_strata_are_nearly_square_and_near_what_is_wanted():
+    wanted = np.linspace(0, 300, 3001)
+    got = well_shaped_strata(wanted)
+    steps = np.array([k * (k + more) for k in range(1, 20) for more in (0, 1)])
+    assert (np.abs(got - wanted) <= np.abs(steps[:, None] - wanted).min(axis=0) + 1e-9).all()
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"pixel_rtol": 0.0}, "pixel_rtol: got 0.0, expected > 0"),
+        ({"pixel_rtol": 1e-9}, "pixel_rtol: got 1e-09, expected at least"),
+        ({"pixel_rtol": 1e-2, "samples": 8}, "samples: got 8 beside pixel_rtol"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(asked, message):
+    with pytest.raises(ValueError, match=message):
+        rendered(0, **asked)
+    with pytest.raises(ValueError, match="pixel_rtol: got values known only inside jit"):
+        jax.jit(lambda key: jaxir.render(SCENE, CAMERA, jaxir.MWIR, key=key, pixel_rtol=1e-2).radiance)(
+            jax.random.key(0)
+        )
