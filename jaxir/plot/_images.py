@@ -52,7 +52,7 @@ def radiance_panels(
     bands = next(iter(images.values())).bands
     highest = max(image.camera.shape[0] / image.camera.shape[1] for image in images.values())
     figure = figure_of(4.8 * len(bands) + 0.4, (min(4.4 * highest, 4.8) + 0.9) * len(images) + 0.6)
-    figure.get_layout_engine().set(h_pad=0.12)
+    figure.set_layout_engine("compressed", h_pad=0.1)  # of panels whose aspect is fixed
     axes = figure.subplots(len(images), len(bands), squeeze=False)
     for column, band in enumerate(bands):
         values = {name: _values(image, quantity)[:, :, column] for name, image in images.items()}
