@@ -15,7 +15,6 @@ from tests.scenes import box_mesh, gray_box
 
 NODES = jaxir.gray_nodes((jaxir.MWIR,))
 SUN, LAMP = jaxir.ParallelSource((0.0, 0.0, -1.0), 10.0), jaxir.PointSource((3.0, 3.0, 3.0), 500.0)
-DISC = jaxir.DiscSource((0.0, 0.0, 4.0), (0.0, 0.0, -1.0), 1.0, 90.0)
 SKY = jaxir.ElevationTable([-90, 0, 0, 90], [30.0, 30.0, 10.0, 2.0])
 SKIN = jaxir.Skin(box_mesh(), 500.0, jaxir.Lambert(0.6), np.arange(12) // 6, ("sides", "ends"))
 CLOUD = jaxir.GridPlume(
@@ -37,12 +36,12 @@ def rays(count=64):
 def test_components_add_up_on_the_same_paths(x64):
     nodes = jaxir.gray_nodes((jaxir.MWIR,))
     air = jaxir.FixedPath(0.7, 2.0)
-    scene = jaxir.Scene(SKIN, CLOUD, (SUN, LAMP, DISC, jaxir.UniformBackground(1.0)), SKY, air)
+    scene = jaxir.Scene(SKIN, CLOUD, (SUN, LAMP, jaxir.UniformBackground(1.0)), SKY, air)
     scene = jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype == jnp.float32 else leaf, scene)
-    method = jaxir.Method(orders=0, ambient=1.0).resolved(scene)
+    method = jaxir.Method(direct=None, orders=0, ambient=1.0).resolved(scene)
     split = components_of(scene, method, "parts")
     assert split.names == (
-        *("skin, sides", "skin, ends", "ParallelSource", "PointSource", "DiscSource", "surroundings", "plume"),
+        *("skin, sides", "skin, ends", "ParallelSource", "PointSource", "surroundings", "plume"),
         *("ambient", "background", "air"),
     )
 
@@ -53,7 +52,9 @@ def test_components_add_up_on_the_same_paths(x64):
 
     whole, parts, face = both(scene)
     np.testing.assert_allclose(parts.sum(axis=1), whole, rtol=1e-13)
-    assert np.all(parts >= 0) and np.all(np.asarray(parts).max(axis=(0, 2)) > 0)
+    assert np.all(parts >= 0)
+    lit = np.asarray(parts).max(axis=(0, 2)) > 0
+    assert [name for name, shines in zip(split.names, lit, strict=True) if not shines] == ["surroundings"]  # by method
     held = dict(zip(split.names, np.moveaxis(np.asarray(parts)[..., 0], 1, 0), strict=True))
     free = np.asarray(face) < 0
     assert free.any() and not free.all()
@@ -69,7 +70,8 @@ def test_an_image_tells_components_and_their_contrast():
     skin = jaxir.Skin(mesh, 400.0, jaxir.Lambert(0.6), [0, 1], ("a", "b"))
     scene = jaxir.Scene(skin, (), sun, jaxir.UniformBackground(3.0), jaxir.FixedPath(0.5, 0.25))
     camera = jaxir.orthographic_camera(0.0, 0.0, 0.125, (16, 16))
-    image = jaxir.render(scene, camera, jaxir.MWIR, samples=2, components="parts")
+    method = jaxir.Method(direct=jaxir.ClosedForm())
+    image = jaxir.render(scene, camera, jaxir.MWIR, samples=2, method=method, components="parts")
     assert image.components == ("skin, a", "skin, b", "ParallelSource", "surroundings", "background", "air")
     black = float(jaxir.band_radiance(jnp.asarray(400.0), NODES)[0])
     want = 0.5 * np.array([0.6 * black, 0.4 * 10 / np.pi, 0.4 * 3.0, -3.0, 0.0])
