@@ -142,9 +142,9 @@ def fitted(air, depth):
     return through
 
 
-def as_bands_are(depths):
+def as_bands_are(depths, repeat):
     """Rows of the method that a user gets who asks for a band."""
-    rays, rows = parallel_rays(64), []
+    rays, rows = parallel_rays(4096), []
     for name, air in PATHS.items():
         front = 1.0 if air is None else fitted(air, depths[name])
         for label, (temperatures, amount, thickness) in PLUMES.items():
@@ -157,8 +157,11 @@ def as_bands_are(depths):
             paths = jaxir.trace(scene, rays)
             added = 0.0 if air is None else nodes.in_band(scene.on(nodes).air.path_radiance[None])[0, 0]
             value = float(jax.block_until_ready(seen(scene, nodes, paths))[0, 0] - added)
-            began = time.process_time()
-            jax.block_until_ready(seen(scene, nodes, paths))
+            spent = []
+            for _ in range(repeat):
+                began = time.process_time()
+                jax.block_until_ready(seen(scene, nodes, paths))
+                spent.append(time.process_time() - began)
             rows.append(
                 {
                     "method": DEFAULT,
@@ -168,7 +171,7 @@ def as_bands_are(depths):
                     "line_by_line": truth,
                     "radiance": value,
                     "error_percent": 100 * (value / truth - 1),
-                    "cpu_microseconds_a_ray": 1e6 * (time.process_time() - began) / rays.origin.shape[0],
+                    "cpu_microseconds_a_ray": 1e6 * min(spent) / rays.origin.shape[0],
                 }
             )
     return rows
@@ -239,7 +242,7 @@ def main(run: Run) -> str:
         for row in rows:
             if row["method"] == method.name:
                 row["cpu_microseconds_a_ray"] = 1e6 * fastest
-    rows += as_bands_are(depths)
+    rows += as_bands_are(depths, chosen.repeat)
     run.table(rows, digits=5)
     run.chart(chart(rows), dpi=80)
     return report(rows)

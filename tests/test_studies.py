@@ -6,9 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from studies import _study, mitsuba_peer
+from studies import _study, measurements, mitsuba_peer, torch
 
 ROOT = Path(__file__).parents[1]
 STUDIES = sorted(path for path in (ROOT / "studies").glob("*.py") if "\n    study(main" in path.read_text())
@@ -86,3 +87,38 @@ def test_help_is_the_question():
     command = [sys.executable, "-m", "studies.plate", "--help"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and "plate right at every angle?" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("wavelength_nm,radiance\n4000,1\n", "got columns wavelength_nm, radiance, expected wavelength_um, value_W"),
+        ("wavelength_um,value_W\n4,1\n4.1\n4.2,1\n", r":3: got '4.1', expected 2 finite numbers"),
+        ("wavelength_um,value_W\n4,1\n4.1,nan\n4.2,1\n", r":3: got '4.1,nan', expected 2 finite numbers"),
+        (
+            "wavelength_um,value_W\n4,1\n4.1,1\n4.2,1\n4.3,1\n5,1\n",
+            r":6: got wavelength_um 5 after 4.3, expected one that",
+        ),
+        ("wavelength_um,value_W\n4,1\n4.1,1\n4.1,1\n4.2,1\n", r":4: got wavelength_um 4.1 after 4.1"),
+        ("# a citation\nwavelength_um,value_W\n4,1\n", "got 1 rows, expected at least 3"),
+    ],
+)
+def test_a_measurement_in_other_units_or_with_gaps_is_refused_in_one_line(tmp_path, text, told):
+    path = tmp_path / "measured.csv"
+    with pytest.raises(ValueError, match="got no file"):
+        measurements.read_columns(path, ("wavelength_um", "value_W"))
+    path.write_text(text)
+    with pytest.raises(ValueError, match=told) as error:
+        measurements.read_columns(path, ("wavelength_um", "value_W"))
+    assert "\n" not in str(error.value) and "measured.csv" in str(error.value)
+
+
+def test_the_torch_is_read_and_its_slit_keeps_the_mean():
+    given = torch.torch()
+    assert given.wavelength.size == 901 and given.temperature[0] == 3409 and given.co2.size == 12
+    wavelength = np.linspace(3.0, 5.0, 20001)
+    line = np.exp(-(((wavelength - 4.0) / 2e-3) ** 2))
+    seen = measurements.through_slit(wavelength, line, 7.2e-3, 15.2e-3, wavelength)
+    assert seen.sum() == pytest.approx(line.sum(), rel=1e-6)
+    width = 1e-4 * seen.sum() / seen.max()
+    assert width == pytest.approx(11.2e-3, rel=0.01)  # a narrow line shows the slit itself

@@ -41,8 +41,8 @@ class StandardAtmosphere(AbstractAtmosphere):
     transmittances would err by +3 % (1500 K, thick) to +37 % (1000 K, dilute) at 4.3 um. Between 2000 and 2400 cm-1 a
     scene with a plume therefore gives each node the mean over the wavenumbers of its quantile, from tables of lines of
     CO2 that keep the mean of each bin (`jaxir.optics.air.slot_path`): the radiance is within 5 % of line by line
-    (`studies.spectral_fidelity`), from 1000 K on; dilute plumes of 650 K err by some +10 %. Water is left out: its hot
-    and cold lines are multiplied as means. With lists of lines `jaxir.io.spectra.slot_atmosphere` does it for all.
+    (`studies.spectral_fidelity`) from 800 K on, and within 9 % at 500 K. Water is left out: its hot and cold lines are
+    multiplied as means. With lists of lines `jaxir.io.spectra.slot_atmosphere` does it for all.
 
     Attributes:
         sensor_altitude: [m].
