@@ -316,9 +316,14 @@ def _closed_form(lit: Lit, vertex: Vertex) -> Array:
 
 def _of_ambient(lit: Lit, method: Method, vertex: Vertex) -> Array:
     """Reflection of the same radiance from everywhere [ray, node]."""
-    ambient = over_nodes(by_band(method, lit.nodes), lit.nodes).ambient
+    ambient = on_nodes(method, lit).ambient
     assert ambient is not None
     return _reflectance(lit, vertex) * ambient[None]
+
+
+def on_nodes(method: Method, lit: Lit) -> Method:
+    """The method with what it knows of light on the nodes."""
+    return over_nodes(by_band(method, lit.nodes), lit.nodes)
 
 
 def _reflectance(lit: Lit, vertex: Vertex) -> Array:

@@ -25,7 +25,7 @@ from jaxir._arrays import placed
 from jaxir._fields import brightened
 from jaxir.scene import Lit, Scene
 from jaxir.scene.light import AbstractLight, backgrounds
-from jaxir.transport._evaluate import radiance_before_air
+from jaxir.transport._evaluate import on_nodes, radiance_before_air
 from jaxir.transport._method import Method
 from jaxir.transport._paths import Paths
 
@@ -127,7 +127,7 @@ def evaluate_components(lit: Lit, paths: Paths, components: Components) -> Float
 
     def one(kept: tuple[Array, ...]) -> Array:
         skin, sources, plumes, ambient = (factor.astype(dtype) for factor in kept)
-        method = paths.method
+        method = on_nodes(paths.method, lit)
         if method.ambient is not None:
             method = dataclasses.replace(method, ambient=method.ambient * ambient)
         dimmed = _shining(lit, skin, sources, plumes)
