@@ -1,8 +1,8 @@
 """Is the error of pixels that is asked for the error obtained, without bias, and how many rays does it save?
 
-Every scene is imaged to several tolerances (`pixel_rtol`) with many keys and compared with an image of six times finer
-tolerance and other keys. Rays are those of pilot and image, against those of an image with as many in every pixel and
-the same error.
+Every scene is imaged to several tolerances (`pixel_rtol`) with many keys and compared with two images of a third of the
+tolerance and other keys, whose own error is taken off. Rays are those of pilot and image, against those of an image
+with as many in every pixel and the same error.
 """
 
 import argparse
@@ -19,7 +19,8 @@ from studies.speed_accuracy import AIRCRAFT, aircraft_scene
 
 BAND = jaxir.LWIR
 TOLERANCES = (3e-2, 1e-2, 3e-3)
-FINER = 6  # tolerance of the image that is compared with
+FINER = 3  # tolerance over that of the images that are compared with
+MOST = 2**14  # rays in a pixel
 PILOT = 8  # rays per pixel that decide
 EVEN = (2, 8, 18, 32, 72, 128, 288, 512, 1152, 2048, 4050)
 
@@ -59,14 +60,16 @@ def compare(name: str, scene: jaxir.Scene, eye: jaxir.Camera, tolerance: float, 
     """One row."""
 
     def asked(tolerance: float, key: int) -> jaxir.Image:
-        return jaxir.render(scene, eye, BAND, pixel_rtol=tolerance, key=jax.random.key(key), max_samples=2**17)
+        return jaxir.render(scene, eye, BAND, pixel_rtol=tolerance, key=jax.random.key(key), max_samples=MOST)
 
     finer = [asked(tolerance / FINER, 1000 + key) for key in range(2)]
     truth = np.mean([np.asarray(image.radiance, np.float64) for image in finer], axis=0)
     contrast = np.abs(truth - np.asarray(finer[0].empty, np.float64))
     images = [asked(tolerance, key) for key in range(keys)]
     apart = np.array([np.asarray(image.radiance, np.float64) - truth for image in images])
-    obtained = np.sqrt((apart**2)[:, contrast > 0].mean()) / contrast[contrast > 0].mean()
+    known_error = np.mean([told(image) ** 2 for image in finer]) / len(finer)
+    square = (apart**2)[:, contrast > 0].mean() / contrast[contrast > 0].mean() ** 2
+    obtained = np.sqrt(max(square - known_error, 0.0))
     intensity = np.array([float(image.radiant_intensity()[0]) for image in images])
     known = np.mean([float(image.radiant_intensity()[0]) for image in finer])
     spread = np.hypot(intensity.std(ddof=1) / keys**0.5, np.hypot(*(float(i.intensity_error()[0]) for i in finer)) / 2)
