@@ -597,7 +597,7 @@ def _laws(structure: Structure, fixed: dict, values: dict, weight: dict, key: An
         "finite": jnp.isfinite(once).all() & jnp.isfinite(isothermal).all(),
         "finite slope": jnp.stack(finite).all() & jnp.isfinite(along).all(),
         "sign": jnp.min(once) >= 0,
-        "linear": jnp.max(jnp.abs(twice - dark - 2 * (once - dark)) / light) <= 4 * close,
+        "linear": jnp.all(jnp.abs(twice - dark - 2 * (once - dark)) <= 4 * close * light + tiny),  # tiny: underflow
         "modes": jnp.abs(forward - reverse) <= modes * scale,
     }
     if structure.background is not SKY and structure.background is not EVEN and structure.air is not FIXED:

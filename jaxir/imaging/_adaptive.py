@@ -106,11 +106,11 @@ def adapted(
         noisy: whether anything but the point in a pixel is drawn at random.
         most: rays in a pixel at most.
     """
-    pilot, power = reduce(joined, [base(number) for number in range(PILOT)]), 1.0 if noisy else 1.5
+    passes, power = [base(number) for number in range(PILOT)], 1.0 if noisy else 1.5
+    pilot = reduce(joined, passes)
     if goal.excess(pilot) <= 1 / 3:  # few rays tell their own error poorly
         return pilot, True
-    variance = PILOT * np.asarray(pilot.standard_error, np.float64) ** 2
-    constant = _around((goal.weight(pilot) * variance).max(axis=-1) * 2**power)
+    constant = _around((goal.weight(pilot) * _of_two_rays(passes)).max(axis=-1) * 2**power)
     for number in range(PILOT, PILOT + ROUNDS):
         count = placement(constant, power, most)
         image = with_own(number, strata_of(count, pilot.camera))
@@ -120,6 +120,16 @@ def adapted(
         found = (goal.weight(image) * variance).max(axis=-1) * (2.0 * count) ** power
         constant = np.maximum(constant, _around(found))
     return image, False
+
+
+def _of_two_rays(passes: list[Image]) -> Float[np.ndarray, "row column band"]:
+    """Variance of the mean of two rays, by all rays of passes of two: s^2 / 2, as pairs that agree may differ.
+
+    With n passes, means m_i and standard errors e_i of pairs it is sum (e_i^2 + (m_i - mean)^2) / (2 n - 1).
+    """
+    mean = np.array([np.asarray(image.radiance, np.float64) for image in passes])
+    within = sum(np.asarray(image.standard_error, np.float64) ** 2 for image in passes)
+    return (within + ((mean - mean.mean(axis=0)) ** 2).sum(axis=0)) / (2 * len(passes) - 1)
 
 
 def _around(constant: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
