@@ -95,6 +95,11 @@ def count(least: int = 1, **options: Any) -> Any:
     return eqx.field(static=True, metadata={"least": least}, **options)
 
 
+def flag(**options: Any) -> Any:
+    """A field that is True or False; it is structure."""
+    return eqx.field(static=True, kw_only=True, default=False, metadata={"flag": True}, **options)
+
+
 def require_count(field: str, value: Any, least: int = 1) -> int:
     """`value`, or `ValueError` unless it is an integer of at least `least`."""
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
@@ -111,7 +116,7 @@ def require_part(field: str, value: Any, expected: str) -> None:
 
 
 class Physical(eqx.Module):
-    """An object whose fields are declared by `quantity`, `spectral` and `count`."""
+    """An object whose fields are declared by `quantity`, `spectral`, `count` and `flag`."""
 
     def __check_init__(self) -> None:
         known: dict[str, tuple[int, ...]] = {}
@@ -130,6 +135,9 @@ class Physical(eqx.Module):
         for entry in dataclasses.fields(self):
             if "least" in entry.metadata:
                 require_count(f"{type(self).__name__}.{entry.name}", getattr(self, entry.name), entry.metadata["least"])
+            if "flag" in entry.metadata and not isinstance(getattr(self, entry.name), bool):
+                got = getattr(self, entry.name)
+                raise ValueError(f"{type(self).__name__}.{entry.name}: got {got!r}, expected True or False")
         self.structure()
 
     def structure(self) -> None:

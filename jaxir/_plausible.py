@@ -1,8 +1,9 @@
 """Values that are legal and hardly meant, each of which gets one `PlausibilityWarning`.
 
 `usual` stands beside the range of a field where it is declared, `within=(positive, KELVIN)`; `doubt` is for what hangs
-on several fields. Both look at known values on the host alone and are no operations of JAX. Zero is the same in every
-unit and never doubted.
+on several fields. `reach` is for what a model was made for: beyond it values are refused, or doubted where the model
+was told to extrapolate. All look at known values on the host alone and are no operations of JAX. Zero is the same in
+every unit and never doubted.
 """
 
 from __future__ import annotations
@@ -52,6 +53,28 @@ def usual(low: float, high: float, unit: str, below: str = "", above: str = "") 
         return Check(field, here, ok, expected + (f"; {hint}" if hint else ""), doubt=True)
 
     return check
+
+
+def reach(field: str, value: Any, low: float, high: float, unit: str, of: str, extrapolate: bool) -> Check:
+    """A check of the range `low` to `high` that a model was made for; known values beyond it are refused or doubted.
+
+    Args:
+        field: name for the message.
+        value: numbers, unchecked where jit has not got them.
+        low: lower end.
+        high: upper end.
+        unit: of both.
+        of: what was made for no more, as "the table of CO".
+        extrapolate: whether the model was told to go on beyond.
+    """
+    span = f"{low:g} to {high:g} {unit}" if np.isfinite(low) else f"at most {high:g} {unit}"
+    here, expected = known(value), f"{span}, for which {of} was made"
+    if not extrapolate:
+        expected += "; extrapolate=True goes on beyond"
+    if here is None:
+        return Check(field, value, np.array(True), expected, doubt=extrapolate)
+    beyond = (here < low - SLACK * abs(low)) | (here > high + SLACK * abs(high))
+    return Check(field, here, ~beyond, expected, doubt=extrapolate)
 
 
 KELVIN = usual(100, 6000, "K", below="is it in degrees Celsius?")

@@ -26,7 +26,7 @@ BANDS = (jaxir.MWIR, jaxir.LWIR)
 FINEST = (50.0, 12, 8)
 NOISE = 3.0  # standard errors of the reference from which on a difference is found
 GRAIN = 3e-6  # of float32, in the intensity
-PARTS = ("sampling", "spectral", "truncation", "bounces", "outside")
+PARTS = ("sampling", "spectral", "quadrature", "truncation", "bounces", "outside")
 DRAWN = (
     "corner, .5, one bounce",
     "corner, disc",
@@ -92,6 +92,11 @@ def jet(hot=900.0, particles=None):
     return jaxir.JetPlume(
         (-1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.4, hot, 288.0, exhaust, length=20.0, particles=particles
     )
+
+
+def gray_jet(depth):
+    """A jet of an optical depth across the nozzle."""
+    return jaxir.JetPlume((-1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.4, 1000.0, 288.0, jaxir.GrayGas(depth / 0.4))
 
 
 def soot(depth, albedo):
@@ -164,6 +169,10 @@ def cases() -> Iterator[Case]:
     yield Case("jet from behind", Scene(plumes=jet(1500.0)), (170.0, 5.0), **few)
     for km in (2, 20):
         yield Case(f"jet through {km} km", Scene(plumes=jet(), atmosphere=air(1e3 * km)), (120.0, 10.0), **few)
+    for depth in (3.0, 30.0):
+        thick = Scene(plumes=gray_jet(depth))
+        yield Case(f"gray jet {depth:g}, tail-on", thick, (179.0, 0.0), samples=32, reference=(96, 8))
+        yield Case(f"gray jet {depth:g}, head-on", thick, (2.0, 0.0), samples=32, reference=(96, 8))
     yield Case("cut jet", Scene(plumes=jet()), (90.0, 0.0), camera=cut(Scene(plumes=jet()), 0.5, shape=(16, 32)), **few)
     yield Case("box through 5 km", Scene(skin(BOX, 0.9, 500.0), atmosphere=air(5e3)))
     yield Case("body and jet, air", Scene(skin(BODY, 0.6, 600.0), jet(), atmosphere=air(3e3)), (130.0, 20.0), **few)

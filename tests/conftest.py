@@ -18,6 +18,8 @@ import tests.checked  # noqa: F401, the hook looks it up by name
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
+MOST_MEMORY = 4e9  # bytes
+
 gc.set_threshold(100_000, 50, 100)  # tracing makes many objects that live: looking through them takes a tenth of a test
 
 install_import_hook("jaxir", "tests.checked.checked")  # for the whole run: modules imported later are checked too
@@ -44,6 +46,15 @@ def x64():
 
 @pytest.fixture(autouse=True, scope="module")
 def bounded_memory():
-    """Drop compiled programs between files: hundreds of them would hold gigabytes."""
+    """Drop compiled programs between files once they hold gigabytes; until then files share them."""
     yield
-    jax.clear_caches()
+    if _resident() > MOST_MEMORY:
+        jax.clear_caches()
+
+
+def _resident() -> float:
+    """Memory that this process holds [bytes]; inf where the system does not tell."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return float("inf")

@@ -6,7 +6,7 @@ import pytest
 from jaxtyping import Array, Float
 
 from jaxir._arrays import enforce, increasing, positive
-from jaxir._fields import Physical, per_face, per_node, quantity, spectral
+from jaxir._fields import Physical, flag, per_face, per_node, quantity, spectral
 
 
 class Slab(Physical):
@@ -15,6 +15,7 @@ class Slab(Physical):
     albedo: Float[Array, " node"] = spectral("1", default=0.5)
     emissivity: Float[Array, "face node"] = quantity("1", ("face", "node"), spread=per_face, least=1, default=1.0)
     level: Float[Array, " level"] | None = quantity("m", ("level",), (positive, increasing), least=2, default=None)
+    gray: bool = flag()
 
 
 def test_arguments_become_leaves_of_the_declared_shape(precision):
@@ -39,6 +40,7 @@ def test_arguments_become_leaves_of_the_declared_shape(precision):
         (lambda: Slab(1.0, 1.0, 1.0, np.ones((2, 2, 2))), r"Slab.emissivity: got shape .* expected \(face, node\)"),
         (lambda: Slab(1.0, 1.0, 1.0, np.ones((0, 1))), r"Slab.emissivity: got shape \(0, 1\), .* at least 1"),
         (lambda: Slab(1.0, 1.0, level=[1.0]), r"Slab.level: got shape \(1,\), expected a length of at least 2"),
+        (lambda: Slab(1.0, 1.0, gray=1), "Slab.gray: got 1, expected True or False"),
     ],
 )
 def test_a_wrong_shape_is_refused_by_the_constructor(build, message):

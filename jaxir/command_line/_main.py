@@ -115,7 +115,9 @@ def _parser() -> argparse.ArgumentParser:
             )
         if name in PICTURE_SCALES:
             command.add_argument(
-                "--errors", action="store_true", help="look for what bounces leave out, too; compiles another program"
+                "--errors",
+                action="store_true",
+                help="look for what bounces and panels of jets err, too; compiles more",
             )
             command.add_argument(
                 "--components",

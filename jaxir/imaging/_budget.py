@@ -14,6 +14,7 @@ from jaxir.imaging._left_out import Asked
 PARTS = {
     "sampling": "of rays within pixels and of sampled light",
     "spectral": "of the spectral nodes",
+    "quadrature": "of the integrals along rays through jets",
     "truncation": "scattered light that is left out",
     "bounces": "bounces from skin beyond the last",
     "outside": "of the scene beyond the frame",
@@ -33,6 +34,8 @@ class ErrorBudget(eqx.Module):
         sampling: standard error of the rays [*view, band].
         spectral: what the nodes err, from a comparison with finer ones on a few rays (`jaxir.scene.scene_nodes`)
             [*view, band]; None where that is not known.
+        quadrature: what the panels of jets err, from twice as many on a few rays [*view, band]; None where that is not
+            known, as for bounces.
         truncation: what is left out of what particles scatter, see `Image.truncation` [*view, band].
         bounces: what bounces from skin beyond the last would add, from few paths followed further [*view, band]; None
             where that is not known: not looked for, inside jit, and with `Method.ambient`.
@@ -46,6 +49,7 @@ class ErrorBudget(eqx.Module):
     intensity: Float[Array, "*view band"]
     sampling: Float[Array, "*view band"]
     spectral: Float[Array, "*view band"] | None
+    quadrature: Float[Array, "*view band"] | None
     truncation: Float[Array, "*view band"]
     bounces: Float[Array, "*view band"] | None
     outside: Float[Array, "*view band"]
@@ -134,10 +138,11 @@ def budget(
     left_out = times(truncation)
     beyond = none if outside is None else times(ROUGH * outside / (1 - outside))  # of what is seen
     assert left_out is not None and beyond is not None
-    bounces = None
+    quadrature = bounces = None
     if asked is not None and not isinstance(intensity, jax.core.Tracer):
-        spectral, bounces = asked.spectral(look) if spectral is None else spectral, asked.bounces(look)
-    return ErrorBudget(intensity, sampling, times(spectral), left_out, bounces, beyond, bands)
+        spectral = asked.spectral(look) if spectral is None else spectral
+        quadrature, bounces = asked.quadrature(look), asked.bounces(look)
+    return ErrorBudget(intensity, sampling, times(spectral), quadrature, left_out, bounces, beyond, bands)
 
 
 @jax.jit

@@ -15,6 +15,7 @@ from jaxir._arrays import placed
 from jaxir._math import safe_sqrt
 from jaxir.geometry import Camera
 from jaxir.geometry.search import is_convex
+from jaxir.imaging._quadrature import quadrature_error, refined
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Scene, nodes_error, on_nodes
 from jaxir.transport import Method, bounced, trace
@@ -45,6 +46,15 @@ class Asked(eqx.Module):
         with jax.ensure_compile_time_eval():
             return nodes_error(self.scene, self.nodes)
 
+    def quadrature(self, look: bool) -> Float[Array, "*view band"] | None:
+        """What `quadrature_error` finds [*view, band] [W sr-1]; 0 without jets, else None without a look."""
+        if not refined(self.scene):
+            return self._none()
+        if not look:
+            return None
+        with jax.ensure_compile_time_eval():
+            return self._by_view(quadrature_error(self.scene, self.nodes, self._views()))
+
     def bounces(self, look: bool) -> Float[Array, "*view band"] | None:
         """What `left_out` finds [*view, band] [W sr-1]; None without a look, or where `Method.ambient` stands for it.
 
@@ -52,15 +62,25 @@ class Asked(eqx.Module):
         """
         if self.method.ambient is not None:
             return None
-        views = self.cameras.frame.shape[:-2]
         if not _skin_is_lit_by_parts(self.scene):
-            return placed(np.zeros((*views, self.nodes.response.shape[0]), self.nodes.weight.dtype))
+            return self._none()
         if not look:
             return None
-        cameras = self.cameras if views else jax.tree.map(lambda leaf: leaf[None], self.cameras)
         method = dataclasses.replace(self.method, bounces=self.method.bounces + FURTHER)
         with jax.ensure_compile_time_eval():
-            return left_out(self.scene, self.nodes, cameras, method).reshape(*views, -1)
+            return self._by_view(left_out(self.scene, self.nodes, self._views(), method))
+
+    def _views(self) -> Camera:
+        """The cameras [view], one for an image."""
+        alone = self.cameras.frame.ndim == 2
+        return jax.tree.map(lambda leaf: leaf[None], self.cameras) if alone else self.cameras
+
+    def _by_view(self, found: Float[Array, "view band"]) -> Float[Array, "*view band"]:
+        return found.reshape(*self.cameras.frame.shape[:-2], -1)
+
+    def _none(self) -> Float[Array, "*view band"]:
+        shape = (*self.cameras.frame.shape[:-2], self.nodes.response.shape[0])
+        return placed(np.zeros(shape, self.nodes.weight.dtype))
 
 
 def _skin_is_lit_by_parts(scene: Scene) -> bool:

@@ -110,6 +110,24 @@ def test_what_lies_beyond_the_frame_is_told(seen):
     assert float(errors.total[0]) >= told
 
 
+@pytest.mark.parametrize("azimuth, most", [(90.0, 1e-2), (178.0, 0.1)])  # from aside, and into the nozzle
+def test_what_panels_of_thick_jets_err_is_told(azimuth, most):
+    def image(panels):
+        jet = jaxir.JetPlume(
+            (0.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.4, 900.0, 280.0, jaxir.GrayGas(40.0), length=12.0, panels=panels
+        )
+        camera = jaxir.fitted_camera(azimuth, 0.0, jet.extent(), (48, 48))
+        return jaxir.render(jaxir.Scene(plumes=jet), camera, (MWIR, LWIR), samples=8)
+
+    few = image(4)
+    found = np.abs(np.asarray(image(48).radiant_intensity() - few.radiant_intensity()))
+    errors, noise = few.error_budget(), 2 * np.asarray(few.intensity_error())
+    told = np.asarray(errors.quadrature)
+    assert (told >= found - noise).all() and (told <= 2.5 * found + noise).all()
+    assert (told < most * np.asarray(errors.intensity)).all() and (azimuth == 90.0 or (told > 10 * noise).any())
+    assert few.error_budget(look=False).quadrature is None
+
+
 def test_a_budget_prints_every_part():
     errors = jaxir.render(slab(), PIXEL, (MWIR, LWIR), samples=2).error_budget()
     lines = str(errors).splitlines()
@@ -117,12 +135,13 @@ def test_a_budget_prints_every_part():
         "intensity",
         "sampling",
         "spectral",
+        "quadrature",
         "truncation",
         "bounces",
         "outside",
         "total",
     ]
-    parts = (2 * errors.sampling, errors.spectral, errors.truncation, errors.bounces, errors.outside)
+    parts = (2 * errors.sampling, errors.spectral, errors.quadrature, errors.truncation, errors.bounces, errors.outside)
     np.testing.assert_allclose(errors.total, np.sqrt(sum(np.asarray(part) ** 2 for part in parts)), rtol=1e-6)
     table = jaxir.signature(slab(), [(0.0, 0.0), (90.0, 0.0)], (MWIR, LWIR), shape=(16, 16)).error_budget()
     assert "of the brightest of 2 views" in str(table) and table.total.shape == (2, 2)

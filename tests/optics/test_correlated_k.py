@@ -308,11 +308,14 @@ def test_bad_input_is_refused(raw_table):
     with pytest.raises(ValueError, match="lower: got 2100.*the table was made for"):
         gas.absorption(moved, jnp.asarray(900.0))
     failing = [
-        check.field
-        for check in CorrelatedK([raw_table], -1.0, {"CO2": 1.1}).checks()
-        if not (check.doubt or bool(check.ok.all()))
+        check.field for check in CorrelatedK([raw_table], -1.0, {"CO2": 1.1}).checks() if not bool(check.ok.all())
     ]
-    assert failing == ["CorrelatedK.pressure", "CorrelatedK.mole_fractions.CO2", "CorrelatedK: sum of mole fractions"]
+    assert failing == [
+        "CorrelatedK.pressure",
+        "CorrelatedK.pressure",
+        "CorrelatedK.mole_fractions.CO2",
+        "CorrelatedK: sum of mole fractions",
+    ]
     for change, what in (
         ({"temperature": [300.0, 300.0]}, "temperature.*increasing"),
         ({"temperature": [0.0, 300.0]}, "temperature.*> 0"),

@@ -142,6 +142,13 @@ def sizes(entry: Entry) -> tuple[int, ...]:
     return counts
 
 
+def truth(entry: Entry) -> bool:
+    """True or false."""
+    if not isinstance(entry.value, bool):
+        raise entry.wrong("true or false")
+    return entry.value
+
+
 def number(entry: Entry) -> float:
     """A finite number."""
     if isinstance(entry.value, bool) or not isinstance(entry.value, _LEAF):
@@ -160,7 +167,7 @@ def positive_or_infinite(entry: Entry) -> float:
     return float(entry.value)
 
 
-_OF_TYPE = {"float": number, "float | None": number, "int": integer}  # by the annotation of a parameter
+_OF_TYPE = {"float": number, "float | None": number, "int": integer, "bool": truth}  # by the annotation of a parameter
 
 
 def numbers(entry: Entry) -> float | np.ndarray:

@@ -63,7 +63,9 @@ from jaxir.scene.plume import GridPlume, JetPlume
 from jaxir.transport import KINDS, ClosedForm, DirectSampling, DiscreteOrdinates, PlumeLight, SkinLight
 
 
-def combustion_gas(pressure: Any, carbon: float, hydrogen: float, equivalence_ratio: Any) -> NarrowBandGas:
+def combustion_gas(
+    pressure: Any, carbon: float, hydrogen: float, equivalence_ratio: Any, extrapolate: bool = False
+) -> NarrowBandGas:
     """The products of complete combustion as a gas, see `combustion_products`.
 
     Args:
@@ -71,12 +73,13 @@ def combustion_gas(pressure: Any, carbon: float, hydrogen: float, equivalence_ra
         carbon: atoms of carbon in a molecule of fuel.
         hydrogen: atoms of hydrogen.
         equivalence_ratio: in [0, 1].
+        extrapolate: see `NarrowBandGas`.
 
     Returns:
         The gas. Differentiable in `pressure` and `equivalence_ratio`.
     """
     products = combustion_products(carbon, hydrogen, equivalence_ratio)
-    return NarrowBandGas(pressure, h2o=products.h2o, co2=products.co2, o2=products.o2)
+    return NarrowBandGas(pressure, h2o=products.h2o, co2=products.co2, o2=products.o2, extrapolate=extrapolate)
 
 
 def _band(name: str, lower: float, upper: float) -> Band:

@@ -13,8 +13,8 @@ from jax.lax import Precision
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, fraction, known, on_host, positive, require
-from jaxir._fields import quantity
-from jaxir._plausible import PASCAL, usual
+from jaxir._fields import flag, quantity
+from jaxir._plausible import PASCAL, reach
 from jaxir.optics.gas._gas import (
     COLD,
     AbstractGas,
@@ -167,8 +167,9 @@ class CorrelatedK(AbstractGas):
     bins with squares of quantiles (`resolved_nodes`) let them overlap at random. ln sigma is a cubic spline in 1/T,
     ln p and x between the levels of the table; beyond them it goes on along its tangents, for temperature with the
     Boltzmann factor of one energy, which is bounded below two thirds of the lowest level. That keeps values and
-    gradients smooth in cold cells and for hot iterates of a fit; it is untested against lines, so temperatures and
-    pressures far beyond are warned of (`PlausibilityWarning`).
+    gradients smooth in cold cells and for hot iterates of a fit; it is untested against lines, so known
+    temperatures below two thirds of the lowest or above the highest level, and pressures beyond the levels, are refused
+    unless the gas was told to `extrapolate`.
 
     Accuracy. At one temperature only quadrature and interpolation err: 8 quantiles of 25 cm-1 bins are within 1 % of
     line by line for CO2 at 4.3 um (330-1500 K, 3 mm to 10 m at 0.3 atm). Where hot gas shines through colder gas of
@@ -180,6 +181,7 @@ class CorrelatedK(AbstractGas):
         tables: one for each species.
         pressure: total pressure [*cell] or scalar [Pa].
         mole_fractions: by species [*cell] or scalar; a species without one is absent and costs nothing.
+        extrapolate: go on beyond the levels of the tables, with a `PlausibilityWarning`.
 
     Differentiable in every field but the levels of the tables.
     """
@@ -187,8 +189,16 @@ class CorrelatedK(AbstractGas):
     tables: tuple[CrossSections, ...]
     pressure: Float[Array, "*cell"] = quantity("Pa", ("*cell",), (positive, PASCAL))
     mole_fractions: dict[str, Float[Array, "*cell"]]
+    extrapolate: bool = flag()
 
-    def __init__(self, tables: Sequence[CrossSections], pressure: Any, mole_fractions: Mapping[str, Any]):
+    def __init__(
+        self,
+        tables: Sequence[CrossSections],
+        pressure: Any,
+        mole_fractions: Mapping[str, Any],
+        *,
+        extrapolate: bool = False,
+    ):
         """Choose from `tables` the species that have a mole fraction."""
         known = {table.species: table for table in tables}
         unknown = sorted(set(mole_fractions) - set(known))
@@ -202,6 +212,7 @@ class CorrelatedK(AbstractGas):
             for species in sorted(mole_fractions)
         }
         self.tables = tuple(known[species] for species in self.mole_fractions)
+        self.extrapolate = extrapolate
         require_one_shape("CorrelatedK", self._fields())
 
     def _fields(self) -> list[Array]:
@@ -235,19 +246,26 @@ class CorrelatedK(AbstractGas):
         """
         require_uniform("CorrelatedK", self._fields())
         amounts = {species: share * amount for species, amount in self.mole_fractions.items()}
-        return CorrelatedK(self.tables, self.pressure, amounts)
+        return CorrelatedK(self.tables, self.pressure, amounts, extrapolate=self.extrapolate)
 
     def amounts(self) -> tuple[Any, ...]:
         """See `AbstractGas.amounts`: the mole fractions of all species."""
         return tuple(self.mole_fractions.values())
 
-    def untested(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
-        """See `AbstractGas.untested`: the levels of every table; somewhat colder gas hardly radiates."""
-        return [_within(table, "temperature", "K", field, temperature, COLD) for table in self.tables]
+    def reaches(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
+        """See `AbstractGas.reaches`: the levels of every table; somewhat colder gas hardly radiates."""
+        return [self._within(table, "temperature", "K", field, temperature, COLD) for table in self.tables]
 
     def doubts(self) -> list[Check]:
         """Pressures lie between the levels of every table."""
-        return [_within(table, "pressure", "Pa", "CorrelatedK.pressure", self.pressure) for table in self.tables]
+        return [self._within(table, "pressure", "Pa", "CorrelatedK.pressure", self.pressure) for table in self.tables]
+
+    def _within(
+        self, table: CrossSections, axis: str, unit: str, field: str, value: Array, share: float = 1.0
+    ) -> Check:
+        """The levels of an axis of `table`, of which the lowest counts by a share of it, reach `value`."""
+        lowest, highest = share * table.levels()[axis].min(), table.levels()[axis].max()
+        return reach(field, value, lowest, highest, unit, f"the table of {table.species}", self.extrapolate)
 
     def relations(self) -> list[Check]:
         """Mole fractions lie in [0, 1] and sum to at most 1."""
@@ -255,13 +273,6 @@ class CorrelatedK(AbstractGas):
             *(fraction(f"CorrelatedK.mole_fractions.{species}", x) for species, x in self.mole_fractions.items()),
             sum_of_mole_fractions("CorrelatedK", self.mole_fractions),
         ]
-
-
-def _within(table: CrossSections, axis: str, unit: str, field: str, value: Array, share: float = 1.0) -> Check:
-    """A doubt of values beyond the levels of an axis of `table`, of which the lowest counts by a share of it."""
-    lowest, highest = table.levels()[axis].min(), table.levels()[axis].max()
-    hint = f"the table of {table.species} covers {lowest:g} to {highest:g} {unit}"
-    return usual(share * lowest, highest, unit, hint, hint)(field, value)
 
 
 def _matching(table: CrossSections, nodes: Nodes) -> list[Check]:

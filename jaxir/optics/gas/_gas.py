@@ -44,8 +44,8 @@ class AbstractGas(Physical):
         Of any kind, because fits ask for them in gases whose leaves stand for themselves.
         """
 
-    def untested(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
-        """Doubts of temperatures [*cell] [K], a `field` of the plume: what the gas's data do not reach; here none."""
+    def reaches(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
+        """Checks that the gas's data reach temperatures [*cell] [K], a `field` of the plume; here none."""
         return []
 
 

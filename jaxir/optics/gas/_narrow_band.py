@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import Check, as_float, fraction, positive, require
-from jaxir._fields import quantity
-from jaxir._plausible import PASCAL, doubt, usual
+from jaxir._fields import flag, quantity
+from jaxir._plausible import PASCAL, doubt, reach
 from jaxir.optics._slots import co2_slots, hot_cross_sections, tabled
 from jaxir.optics._tables import ABSENT, HOT_GAS_EDGES, HOT_GAS_TEMPERATURE, hot_gas, overlap_matrix
 from jaxir.optics.gas._combustion import NITROGEN_PER_OXYGEN
@@ -71,14 +71,15 @@ class NarrowBandGas(AbstractGas):
 
     ln k and ln 1/d are cubic splines in ln T between 300 and 2500 K (they err by less than 1 % where the gas matters)
     and straight lines in ln T beyond, in T below 200 K: values and gradients stay smooth and finite through cold cells
-    and hot iterates, and are untested outside the range: cells below 200 or above 2500 K are warned of
-    (`PlausibilityWarning`). The table spans
-    800-9300 cm-1 (1.08-12.5 um); above it the gas is transparent.
+    and hot iterates, and are untested outside the range: known temperatures below 200 or above 2500 K are refused
+    unless the gas was told to `extrapolate`. The table spans 800-9300 cm-1 (1.08-12.5 um); above it the gas is
+    transparent.
 
     Attributes:
         pressure: total pressure [*cell] or scalar [Pa].
         h2o, co2, co: mole fractions [*cell] or scalars; a species given as None is absent and costs nothing.
         o2: mole fraction of oxygen, which broadens lines; the rest of the mixture counts as N2.
+        extrapolate: go on beyond 200 to 2500 K, with a `PlausibilityWarning`.
 
     Differentiable in every field; not in the quantiles of the nodes.
     """
@@ -88,6 +89,7 @@ class NarrowBandGas(AbstractGas):
     co2: Float[Array, "*cell"] | None = quantity("1", ("*cell",), fraction, default=None)
     co: Float[Array, "*cell"] | None = quantity("1", ("*cell",), fraction, default=None)
     o2: Float[Array, "*cell"] = quantity("1", ("*cell",), fraction, default=0.0)
+    extrapolate: bool = flag()
 
     def __check_init__(self) -> None:
         if self.h2o is None and self.co2 is None and self.co is None:
@@ -134,7 +136,8 @@ class NarrowBandGas(AbstractGas):
         """
         require_uniform("NarrowBandGas", jax.tree.leaves(self))
         h2o, co2, co = (None if x is None else share * x for x in (self.h2o, self.co2, self.co))
-        return NarrowBandGas(self.pressure, h2o, co2, co, share * self.o2 + (1 - share) / (1 + NITROGEN_PER_OXYGEN))
+        o2 = share * self.o2 + (1 - share) / (1 + NITROGEN_PER_OXYGEN)
+        return NarrowBandGas(self.pressure, h2o, co2, co, o2, extrapolate=self.extrapolate)
 
     def _lorentz(
         self, species: str, pressure: Float[Array, "*cell"], temperature: Float[Array, "*cell"]
@@ -153,11 +156,10 @@ class NarrowBandGas(AbstractGas):
         """See `AbstractGas.amounts`: the mole fractions of the species that absorb."""
         return tuple(amount for amount in (self.h2o, self.co2, self.co) if amount is not None)
 
-    def untested(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
-        """See `AbstractGas.untested`: the table ends at 300 and 2500 K; somewhat colder gas hardly radiates."""
-        lowest, highest = HOT_GAS_TEMPERATURE[0], HOT_GAS_TEMPERATURE[-1]
-        hint = f"the table of NarrowBandGas covers {lowest:g} to {highest:g} K"
-        return [usual(COLD * lowest, highest, "K", hint, hint)(field, temperature)]
+    def reaches(self, field: str, temperature: Float[Array, "*cell"]) -> list[Check]:
+        """See `AbstractGas.reaches`: the table ends at 300 and 2500 K; somewhat colder gas hardly radiates."""
+        lowest, highest = COLD * HOT_GAS_TEMPERATURE[0], HOT_GAS_TEMPERATURE[-1]
+        return [reach(field, temperature, lowest, highest, "K", "NarrowBandGas", self.extrapolate)]
 
     def doubts(self) -> list[Check]:
         """Where there is exhaust, H2O and CO2 are not as the mass fractions of burnt kerosene or pentane."""

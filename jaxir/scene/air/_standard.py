@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, finite, positive, require
-from jaxir._fields import quantity
-from jaxir._plausible import usual
+from jaxir._fields import flag, quantity
+from jaxir._plausible import reach, usual
 from jaxir.optics._tables import COLD_PATH_EDGES
 from jaxir.optics.air import (
     Profile,
@@ -22,7 +23,8 @@ from jaxir.optics.spectrum import Nodes, bins_inside
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
 from jaxir.scene.air._to_space import or_us_standard
 
-_MADE_FOR = "the fit was made for no more"
+_FIT = "the fit to LOWTRAN 7"
+_HIGHEST, _FARTHEST = 12e3, 60e3  # that it was made for [m]
 
 
 class StandardAtmosphere(AbstractAtmosphere):
@@ -30,7 +32,7 @@ class StandardAtmosphere(AbstractAtmosphere):
 
     The path runs over the round earth, slant or level; refraction is left out. Equations and accuracy are those of
     `jaxir.optics.air`, made for altitudes up to 12 km and paths up to 60 km through the US Standard Atmosphere; more of
-    either is warned of (`PlausibilityWarning`), and a path that leaves the profile (25 km) is refused.
+    either is refused unless the air was told to `extrapolate`, and a path that leaves the profile (25 km) always.
     Scattered sunlight is not part of the path radiance. LOWTRAN 7 gives its lowest kilometre the mean temperature of
     the layer; here each segment has its own, so a sensor on the ground sees 288 K instead of 285 K where the air is
     opaque.
@@ -49,14 +51,24 @@ class StandardAtmosphere(AbstractAtmosphere):
         target_altitude: [m].
         distance: from sensor to target [m]; see `jaxir.optics.air.slant_range`.
         profile: state of the air over altitude; None for the US Standard Atmosphere 1976.
+        extrapolate: go on beyond 12 km of altitude and 60 km of path, with a `PlausibilityWarning`.
 
     Differentiable in every field but `profile.altitude`.
     """
 
-    sensor_altitude: Float[Array, ""] = quantity("m", within=(finite, usual(-500, 12e3, "m", above=_MADE_FOR)))
-    target_altitude: Float[Array, ""] = quantity("m", within=(finite, usual(25, 12e3, "m", "is it in km?", _MADE_FOR)))
-    distance: Float[Array, ""] = quantity("m", within=(positive, usual(100, 60e3, "m", "is it in km?", _MADE_FOR)))
+    sensor_altitude: Float[Array, ""] = quantity("m", within=(finite, usual(-500, np.inf, "m")))
+    target_altitude: Float[Array, ""] = quantity("m", within=(finite, usual(25, np.inf, "m", "is it in km?")))
+    distance: Float[Array, ""] = quantity("m", within=(positive, usual(100, np.inf, "m", "is it in km?")))
     profile: Profile = eqx.field(converter=or_us_standard, default=None)
+    extrapolate: bool = flag()
+
+    def doubts(self) -> list[Check]:
+        """The path is no higher and no longer than the fit was made for."""
+        limits = {"sensor_altitude": _HIGHEST, "target_altitude": _HIGHEST, "distance": _FARTHEST}
+        return [
+            reach(f"StandardAtmosphere.{name}", getattr(self, name), -np.inf, most, "m", _FIT, self.extrapolate)
+            for name, most in limits.items()
+        ]
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`: the radiance is the air's own emission.

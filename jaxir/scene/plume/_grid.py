@@ -58,7 +58,7 @@ class GridPlume(AbstractPlume):
 
     def doubts(self) -> list[Check]:
         """Temperatures are those that the gas's data reach."""
-        return self.gas.untested("GridPlume.temperature", self.temperature)
+        return self.gas.reaches("GridPlume.temperature", self.temperature)
 
     def extent(self) -> Float[Array, "8 3"]:
         """See `AbstractPlume.extent`: corners of the grid."""

@@ -60,7 +60,8 @@ class JetPlume(AbstractPlume):
         core_length: z_core / d.
         spreading: slope of the edge.
         length: where the jet ends [diameters].
-        panels: quadrature panels in each of the four pieces of a ray; `resolve_jet` chooses them for a tolerance.
+        panels: quadrature panels in each of the four pieces of a ray; `resolve_jet` chooses them for a tolerance, and
+            `Image.error_budget` tells what they err.
         particles: those in pure exhaust at exit temperature, the same everywhere; they follow the gas. None for none.
 
     Differentiable in every field but `panels`, its place and shape included.
@@ -118,6 +119,10 @@ class JetPlume(AbstractPlume):
     def with_panels(self, panels: int) -> JetPlume:
         """The same jet, integrated with another number of panels."""
         return dataclasses.replace(self, panels=panels)
+
+    def refined(self) -> JetPlume:
+        """See `AbstractPlume.refined`."""
+        return self.with_panels(2 * self.panels)
 
     def to_grid(self, grid: Grid) -> GridPlume:
         """The same jet cell by cell, each cell with the state at its centre.
@@ -229,13 +234,13 @@ class JetPlume(AbstractPlume):
         return [*rings, *(np.stack([rings[0][k], rings[-1][k]]) for k in range(0, 32, 8))]
 
     def doubts(self) -> list[Check]:
-        """Exhaust is warmer than the air, and both are as warm as the gas's data reach."""
+        """Exhaust is warmer than the air, and the gas's data reach both."""
         leaving, still = self.exit_temperature, self.ambient_temperature
         swapped = "at least ambient_temperature as a rule; are the two swapped?"
         return [
             doubt("JetPlume.exit_temperature", np.greater_equal, swapped, leaving, still),
-            *self.gas.untested("JetPlume.exit_temperature", leaving),
-            *self.gas.untested("JetPlume.ambient_temperature", still),
+            *self.gas.reaches("JetPlume.exit_temperature", leaving),
+            *self.gas.reaches("JetPlume.ambient_temperature", still),
         ]
 
     def relations(self) -> list[Check]:

@@ -88,6 +88,10 @@ class AbstractPlume(Physical):
         """About the same plume, made of few parts where it is made of many: enough to choose spectral nodes with."""
         return self
 
+    def refined(self) -> AbstractPlume | None:
+        """The same plume with a quadrature twice as fine; None where its sums along rays are exact."""
+        return None
+
     @abc.abstractmethod
     def hottest(self) -> Float[Array, ""]:
         """Its highest temperature [K]."""

@@ -15,8 +15,8 @@ def sphere(subdivisions=3):
 
 
 def torus():
-    m = trimesh.creation.torus(2.0, 0.7, major_sections=40, minor_sections=20)
-    return np.array(m.vertices), np.array(m.faces)
+    m = trimesh.creation.torus(2.0, 0.7, major_sections=40, minor_sections=16)
+    return np.concatenate([m.vertices, m.vertices[:2]]), np.array(m.faces)
 
 
 def soup(seed=0, count=700):
@@ -52,7 +52,23 @@ def fins():
     return np.concatenate(vertices), np.concatenate(out)
 
 
-BODIES = {"sphere": sphere, "torus": torus, "soup": soup, "slivers": slivers, "fins": fins}
+def as_large_as_soup(body):
+    """A body with vertices and faces of its own repeated, so that searches of all of them are one program."""
+
+    def build():
+        vertices, faces = body()
+        return np.resize(vertices, (2100, 3)), np.resize(faces, (700, 3))
+
+    return build
+
+
+BODIES = {
+    "sphere": sphere,
+    "torus": torus,  # as large as the sphere
+    "soup": soup,
+    "slivers": as_large_as_soup(slivers),
+    "fins": as_large_as_soup(fins),
+}
 
 
 def incoherent(rng, count, radius=5.0):

@@ -295,6 +295,8 @@ def _but(old, new):
 
 
 HUGE = "shape = [100000, 100000]"
+PATH = 'type = "FixedPath"\ntransmittance = 0.5\npath_radiance = 0.1'
+FAR = 'type = "StandardAtmosphere"\nsensor_altitude = 0\ntarget_altitude = 9e3\ndistance = 90e3'
 
 
 @pytest.mark.parametrize(
@@ -335,6 +337,8 @@ HUGE = "shape = [100000, 100000]"
         (_but("[[0, 1, 2], [0, 2, 3]]", "[[0, 1, 2], [0, 2, 9]]"), "skin.mesh: Mesh.faces: got indices 0 to 9"),
         (_but("shape = [16, 16]", HUGE), r"camera.shape: got \[100000, 100000\], expected integers >= 1 whose product"),
         (_but("shape = [16, 16]", "shape = [16.0, 16]"), r"camera.shape\[0\]: got 16.0, expected an integer"),
+        (_but(PATH, FAR), "atmosphere: StandardAtmosphere.distance: got 90000.0, expected at most 60000 m"),
+        (_but(PATH, FAR + "\nextrapolate = 1"), "atmosphere.extrapolate: got 1, expected true or false"),
         (_but("azimuth = 0", ""), "camera: got no key azimuth, which it needs"),
         (_but("samples = 2", "sample = 2"), r"render.sample: unknown key, expected .*\(did you mean samples\?\)"),
         (_but("step = 90", "step = 0"), "signature.views.azimuth: got .* expected start <= stop and step > 0"),
