@@ -63,6 +63,8 @@ from jaxir.scene.light import sun_at as sun_at
 from jaxir.scene.light import UniformBackground as UniformBackground
 
 # The air in front of it
+from jaxir.optics.air import air_pressure as air_pressure
+from jaxir.optics.air import air_temperature as air_temperature
 from jaxir.optics.air import slant_range as slant_range
 from jaxir.optics.air import us_standard_1976 as us_standard_1976
 from jaxir.scene.air import FixedPath as FixedPath

@@ -6,7 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxir.optics.air import Profile, altitude_along, slant_range, us_standard_1976
+from jaxir.optics.air import (
+    Profile,
+    air_pressure,
+    air_temperature,
+    altitude_along,
+    slant_range,
+    us_standard_1976,
+)
 from jaxir.optics.spectrum import LWIR, MWIR, SWIR, Band, band_radiance, gray_nodes, resolved_nodes
 from jaxir.scene.air import StandardAtmosphere, TableAtmosphere, UniformAtmosphere
 
@@ -160,3 +167,19 @@ def test_bad_input_is_refused(nodes):
         StandardAtmosphere(*AIR).on(resolved_nodes(Band("far", 13.0, 14.0)))
     with pytest.raises(ValueError, match="Profile.pressure"):
         Profile(gap.altitude, gap.temperature, gap.pressure[:5], gap.h2o, gap.o3)
+
+
+def test_air_is_heated_by_flight():
+    """US Standard Atmosphere 1976: 288.15 K and 101325 Pa at the ground, 223.25 K and 26500 Pa at 10 km."""
+    assert float(air_temperature(0.0)) == pytest.approx(288.15, abs=0.1)
+    np.testing.assert_allclose(air_temperature(10e3, [0.0, 1.0], 1.0), [223.25, 1.2 * 223.25], rtol=1e-3)
+    assert float(air_pressure(10e3)) == pytest.approx(26500, rel=2e-3)
+    slope = jax.grad(lambda mach: air_temperature(10e3, mach))(0.9)
+    assert float(slope) == pytest.approx(223.25 * 0.89 * 0.4 * 0.9, rel=1e-3)
+    for call, message in (
+        (lambda: air_temperature(30e3), "altitude: got 30000.0, expected 0 to 25000 m"),
+        (lambda: air_temperature(0.0, -1.0), "mach: got -1.0"),
+        (lambda: air_pressure(-5.0), "altitude: got -5.0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()

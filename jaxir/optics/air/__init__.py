@@ -1,6 +1,8 @@
 """The air: its profile, and the cold path through it."""
 
 from jaxir.optics.air._profile import Profile as Profile
+from jaxir.optics.air._profile import air_pressure as air_pressure
+from jaxir.optics.air._profile import air_temperature as air_temperature
 from jaxir.optics.air._profile import us_standard_1976 as us_standard_1976
 from jaxir.optics.air._sight import Sight as Sight
 from jaxir.optics.air._sight import air_along as air_along

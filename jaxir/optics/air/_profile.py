@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, fraction, increasing, positive
+from jaxir._arrays import Check, as_float, enforce, fraction, increasing, non_negative, positive
 from jaxir._fields import Physical, quantity
 from jaxir._plausible import KELVIN, PASCAL, usual
 from jaxir.optics._tables import rows
@@ -74,6 +74,55 @@ class Profile(Physical):
 def us_standard_1976() -> Profile:
     """The US Standard Atmosphere 1976 to 25 km, with AFGL's water vapour and ozone."""
     return Profile(*(as_float(column) for column in _us_standard_1976()))
+
+
+TURBULENT = 0.89  # recovery factor of a turbulent boundary layer, the cube root of the Prandtl number of air
+HEATS = 1.4  # ratio of specific heats of air
+
+
+def air_temperature(altitude: Any, mach: Any = 0.0, recovery: Any = TURBULENT) -> Float[Array, "*batch"]:
+    """Temperature that air in flight has at an adiabatic wall, T (1 + r (g - 1) / 2 M^2).
+
+    Of the US Standard Atmosphere 1976; White, *Viscous Fluid Flow*, "recovery factor". At Mach 0 the temperature of the
+    air itself, and with r = 1 that of the stagnation point. It is what a thin skin has that nothing heats or cools.
+
+    Args:
+        altitude: 0 to 25 km [*batch] [m].
+        mach: of the flight, >= 0 [*batch].
+        recovery: r, 0 to 1: .89 under a turbulent boundary layer, .85 under a laminar one, 1 at a nose [*batch].
+
+    Returns:
+        The temperature [*batch] [K].
+
+    Raises:
+        ValueError: values out of range.
+
+    Differentiable in all arguments.
+    """
+    mach, recovery = as_float(mach, "mach"), as_float(recovery, "recovery")
+    heated = 1 + recovery * (HEATS - 1) / 2 * mach**2
+    own = _in_reach(altitude, [non_negative("mach", mach), fraction("recovery", recovery)])
+    return us_standard_1976().at(own).temperature * heated
+
+
+def air_pressure(altitude: Any) -> Float[Array, "*batch"]:
+    """Pressure of the US Standard Atmosphere 1976 [*batch] [Pa] at an altitude of 0 to 25 km [*batch] [m].
+
+    Raises:
+        ValueError: an altitude out of range.
+
+    Differentiable in altitude.
+    """
+    return us_standard_1976().at(_in_reach(altitude, [])).pressure
+
+
+def _in_reach(altitude: Any, more: list[Check]) -> Float[Array, "*batch"]:
+    """An altitude that the profile has."""
+    altitude = as_float(altitude, "altitude")
+    top = float(_us_standard_1976()[0][-1])
+    return enforce(
+        altitude, [Check("altitude", altitude, (altitude >= 0) & (altitude <= top), f"0 to {top:g} m"), *more]
+    )
 
 
 @functools.cache
