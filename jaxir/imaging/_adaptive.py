@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import placed
 from jaxir.geometry import TILE, Camera
-from jaxir.imaging._chunks import Estimate, Pass, Seen, see
+from jaxir.imaging._chunks import Estimate, Pass, Seen, Varied, see
 from jaxir.imaging._devices import progress
 from jaxir.imaging._image import Image, joined
 
@@ -224,10 +224,11 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
 
     return Estimate(
         mixed(base.mean, seen.radiance, count),
-        mixed(base.variance, square, count**2.0),
+        mixed(base.variance, square.radiance, count**2.0),
         mixed(base.empty, seen.empty, count),
         mixed(base.orders, seen.orders, count),
         mixed(base.parts, seen.parts, count),
+        mixed(base.parts_variance, square.parts, count**2.0),
     )
 
 
@@ -251,7 +252,7 @@ def _in_chunks(strata: Strata, end: np.ndarray, size: int) -> Iterator[tuple[np.
 
 
 @eqx.filter_jit
-def _seen_at(taken: Pass, spots: Spots, number: Array) -> tuple[Seen, Float[Array, "spot band"]]:
+def _seen_at(taken: Pass, spots: Spots, number: Array) -> tuple[Seen, Varied]:
     """Mean of two rays in each stratum, and a quarter of their squared difference."""
     camera = taken.camera
     own = jax.random.fold_in(jax.random.fold_in(jax.random.fold_in(taken.key, OF_SPOTS), taken.number), number)
@@ -264,4 +265,5 @@ def _seen_at(taken: Pass, spots: Spots, number: Array) -> tuple[Seen, Float[Arra
     bundle = camera.bundle(screen.reshape(-1, 2), taken.lit.scene.start(camera))
     seen = jax.tree.map(lambda value: value.reshape((-1, 2, *value.shape[1:])), see(taken, bundle, for_paths))
     mean = jax.tree.map(lambda value: (value[:, 0] + value[:, 1]) / 2, seen)
-    return mean, (seen.radiance[:, 0] - seen.radiance[:, 1]) ** 2 / 4
+    two = Varied(seen.radiance, seen.parts)
+    return mean, jax.tree.map(lambda value: (value[:, 0] - value[:, 1]) ** 2 / 4, two)

@@ -45,7 +45,7 @@ class Estimate(NamedTuple):
 
     `empty` is what would be seen without the scene; one value [1, 1, band] where the background is uniform. `orders`
     is what the last two orders of scattering brought [tile, pixel, 2, band]; None without particles. `parts` is the
-    mean by component [tile, pixel, component, band]; None where it was not asked for.
+    mean by component [tile, pixel, component, band], `parts_variance` its variance; None where they were not asked for.
     """
 
     mean: Array
@@ -53,6 +53,7 @@ class Estimate(NamedTuple):
     empty: Array
     orders: Array | None
     parts: Array | None
+    parts_variance: Array | None
 
 
 class Pass(NamedTuple):
@@ -181,7 +182,8 @@ def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
         return _untile(camera, value.reshape((*value.shape[:3], -1))).reshape((*camera.shape, *value.shape[3:]))
 
     empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else whole(parts.empty)
-    return Estimate(whole(parts.mean), whole(parts.variance), empty, whole(parts.orders), whole(parts.parts))
+    others = (whole(value) for value in (parts.orders, parts.parts, parts.parts_variance))
+    return Estimate(whole(parts.mean), whole(parts.variance), empty, *others)
 
 
 @eqx.filter_jit
@@ -189,9 +191,9 @@ def image_of_pixels(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""]
     """The image of estimates [row, column, ...] from `samples` rays per pixel."""
     camera, nodes = taken.camera, taken.lit.nodes
     names = () if taken.components is None else taken.components.names
-    about = error_of_bands(taken.lit), nodes.error, share_outside(taken.lit, camera), names, pixels.parts
     own = pixels.mean, pixels.variance, pixels.empty, samples, pixels.orders
-    return image_of(camera, nodes.names, *own, *about)
+    about = error_of_bands(taken.lit), nodes.error, share_outside(taken.lit, camera)
+    return image_of(camera, nodes.names, *own, *about, names, pixels.parts, pixels.parts_variance)
 
 
 def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
@@ -213,16 +215,16 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     some = may_see(lit.scene.outline(), camera, tile) if uniform else jnp.ones(tile.shape, bool)
     order = jnp.argsort(~some, stable=True)  # tiles that see something go together
 
-    def block(own: tuple[Array, Array, Array]) -> tuple[Seen, Array]:
+    def block(own: tuple[Array, Array, Array]) -> tuple[Seen, Varied]:
         tile, key, some = own
 
-        def nothing() -> tuple[Seen, Array]:
+        def nothing() -> tuple[Seen, Varied]:
             dark = _dark(taken, empty)
             assert empty is not None
             parts = dark.parts
             if parts is not None and taken.components is not None:
                 parts = parts + lit.nodes.in_band(empty_components(lit, taken.components, camera.frame[0]))[None, None]
-            return dark._replace(radiance=dark.radiance + empty, parts=parts), dark.radiance
+            return dark._replace(radiance=dark.radiance + empty, parts=parts), Varied(dark.radiance, dark.parts)
 
         if not uniform:
             return _estimate(taken, tile, key, start, empty)
@@ -234,7 +236,8 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     every = lax.map(block, (tile[order].reshape(blocks), keys, jnp.any(some[order].reshape(blocks), axis=1)))
     back = jnp.argsort(order)
     mean, variance = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:]))[back], every)
-    return Estimate(mean.radiance, variance, mean.empty if empty is None else empty, mean.orders, mean.parts)
+    seen = mean.empty if empty is None else empty
+    return Estimate(mean.radiance, variance.radiance, seen, mean.orders, mean.parts, variance.parts)
 
 
 def _dark(taken: Pass, empty: Array | None) -> Seen:
@@ -249,13 +252,13 @@ def _dark(taken: Pass, empty: Array | None) -> Seen:
 
 def _estimate(
     taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], start: Float[Array, ""], empty: Array | None
-) -> tuple[Seen, Array]:
+) -> tuple[Seen, Varied]:
     """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
     camera, strata = taken.camera, taken.strata
     size, some, count = tile.shape[0], taken.strata_at_once, strata[0] * strata[1]
     for_pixels, for_paths = jax.random.split(own)
 
-    def group(carry: tuple[Seen, Array], first: Array) -> tuple[tuple[Seen, Array], None]:
+    def group(carry: tuple[Seen, Varied], first: Array) -> tuple[tuple[Seen, Varied], None]:
         index = first + jnp.arange(some, dtype=jnp.int32)
         offset = jax.vmap(lambda i: stratum_points(for_pixels, i, size, strata))(index)
         bundle = tile_rays(camera, tile, offset, start)
@@ -269,13 +272,15 @@ def _estimate(
             return jnp.sum(jnp.where(there, value, 0), axis=2)
 
         mean = jax.tree.map(lambda value: added((value[:, :, :, 0] + value[:, :, :, 1]) / 2), seen)
-        apart = seen.radiance[:, :, :, 0] - seen.radiance[:, :, :, 1]
+        two = Varied(seen.radiance, seen.parts)
+        apart = jax.tree.map(lambda value: added((value[:, :, :, 0] - value[:, :, :, 1]) ** 2) / 4, two)
         total, square = carry
-        return (jax.tree.map(jnp.add, total, mean), square + added(apart**2) / 4), None
+        return (jax.tree.map(jnp.add, total, mean), jax.tree.map(jnp.add, square, apart)), None
 
     dark = _dark(taken, empty)
-    (total, square), _ = lax.scan(group, (dark, dark.radiance), jnp.arange(0, count, some, dtype=jnp.int32))
-    return jax.tree.map(lambda sum: sum / count, total), square / count**2
+    none = Varied(dark.radiance, dark.parts)
+    (total, square), _ = lax.scan(group, (dark, none), jnp.arange(0, count, some, dtype=jnp.int32))
+    return jax.tree.map(lambda sum: sum / count, total), jax.tree.map(lambda sum: sum / count**2, square)
 
 
 class Seen(NamedTuple):
@@ -287,14 +292,23 @@ class Seen(NamedTuple):
     parts: Array | None
 
 
+class Varied(NamedTuple):
+    """Variance of radiance, and of that by component, where it was asked for; shapes as `Seen`."""
+
+    radiance: Array
+    parts: Array | None
+
+
 def see(taken: Pass, bundle: Bundle, key: Key[Array, ""]) -> Seen:
     """What rays see; nothing for `empty` where that is the same for all."""
     lit, method = taken.lit, taken.method
     paths = trace(lit.scene, bundle, method, key)
-    found = evaluate_orders(lit, paths)
-    orders = jnp.stack([found.last, found.before], axis=1) if method.samples_particles(lit.scene) else None
     parts = None if taken.components is None else evaluate_components(lit, paths, taken.components)
     without = None if taken.uniform else lit.empty(bundle.rays().direction)
+    if parts is not None and not method.samples_particles(lit.scene):  # they add up to the whole
+        return jax.tree.map(lit.nodes.in_band, Seen(parts.sum(axis=1), without, None, parts))
+    found = evaluate_orders(lit, paths)
+    orders = jnp.stack([found.last, found.before], axis=1) if method.samples_particles(lit.scene) else None
     return jax.tree.map(lit.nodes.in_band, Seen(found.radiance, without, orders, parts))
 
 

@@ -45,6 +45,7 @@ class Image(eqx.Module):
         asked: what it is an image of, for `error_budget`; None where values were known only inside jit.
         components: names of what `parts` holds, where `render` was asked for components.
         parts: the radiance by where its light comes from [row, column, component, band]; it adds up to `radiance`.
+        parts_error: standard error of `parts`; those of one pixel are of the same rays, so that they do not add up.
     """
 
     radiance: Float[Array, "row column band"]
@@ -61,6 +62,7 @@ class Image(eqx.Module):
     asked: Asked | None = None
     components: tuple[str, ...] = eqx.field(static=True, default=())
     parts: Float[Array, "row column component band"] | None = None
+    parts_error: Float[Array, "row column component band"] | None = None
 
     def component_intensity(self) -> Float[Array, "component band"]:
         """`radiant_intensity` by component [component, band] [W sr-1], which adds up to it.
@@ -74,6 +76,16 @@ class Image(eqx.Module):
         if self.parts is None:
             raise ValueError('Image.parts: got none, expected render(..., components="sources")')
         return _by_component(self.camera, self.parts, self.empty, self.components)
+
+    def component_error(self) -> Float[Array, "component band"]:
+        """Standard error of `component_intensity` [component, band] [W sr-1]; pixels are sampled independently.
+
+        Raises:
+            ValueError: `render` was not asked for components.
+        """
+        if self.parts_error is None:
+            raise ValueError('Image.parts_error: got none, expected render(..., components="sources")')
+        return _intensity_error(self.camera, self.parts_error)
 
     def radiant_intensity(self) -> Float[Array, " band"]:
         """Radiant intensity in contrast to what the empty image would show [band] [W sr-1].
@@ -129,8 +141,9 @@ def _by_component(camera: Camera, parts: Array, empty: Array, names: tuple[str, 
 
 
 @jax.jit
-def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, " band"]:
-    return safe_sqrt(jnp.sum((standard_error * camera.pixel_area()[:, :, None]) ** 2, axis=(0, 1)))
+def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, "*component band"]:
+    area = camera.pixel_area().reshape(*standard_error.shape[:2], *(1,) * (standard_error.ndim - 2))
+    return safe_sqrt(jnp.sum((standard_error * area) ** 2, axis=(0, 1)))
 
 
 @jax.jit
@@ -160,6 +173,7 @@ def image_of(
     outside: Float[Array, " band"],
     components: tuple[str, ...],
     parts: Float[Array, "row column component band"] | None,
+    parts_variance: Float[Array, "row column component band"] | None,
 ) -> Image:
     """The image of one pass of `samples` rays per pixel; `orders` are those of each pixel's radiance."""
     area = camera.pixel_area()[:, :, None, None]
@@ -167,7 +181,8 @@ def image_of(
     taken = jnp.asarray(samples, jnp.int32)
     error = safe_sqrt(variance)
     outcome: Any = Outcome.samples_taken  # an enumeration, which types do not know
-    about = whole, unresolved, spectral, outside, None, components, parts
+    parts_error = None if parts_variance is None else safe_sqrt(parts_variance)
+    about = whole, unresolved, spectral, outside, None, components, parts, parts_error
     return Image(mean, error, empty, camera, bands, taken, outcome, *about)
 
 
@@ -180,11 +195,15 @@ def joined(image: Image, more: Image) -> Image:
     """The mean of two images of the same pixels, weighted by their samples."""
     taken = image.samples + more.samples
     own, other = (part.samples / taken for part in (image, more))
-    error = jnp.sqrt((own * image.standard_error) ** 2 + (other * more.standard_error) ** 2)
+    error, parts_error = jax.tree.map(
+        lambda a, b: jnp.sqrt((own * a) ** 2 + (other * b) ** 2),
+        (image.standard_error, image.parts_error),
+        (more.standard_error, more.parts_error),
+    )
     radiance, empty, orders, parts = jax.tree.map(
         lambda a, b: own * a + other * b,
         (image.radiance, image.empty, image.orders, image.parts),
         (more.radiance, more.empty, more.orders, more.parts),
     )
-    about = image.unresolved, image.spectral, image.outside, image.asked, image.components, parts
+    about = image.unresolved, image.spectral, image.outside, image.asked, image.components, parts, parts_error
     return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders, *about)

@@ -36,11 +36,16 @@ class Signature(eqx.Module):
         bands: band names.
         truncation: estimated share of `intensity` that orders of scattering beyond the last would add, see
             `Image.truncation` [view, band].
-        spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
-        asked: what it is the signature of, for `error_budget`; None where values were known only inside jit.
+        spectral: what the spectral nodes err, as a share of the intensity [band], or [view, band] of several states;
+            None where they were given.
+        asked: what it is the signature of, for `error_budget`; None where values were known only inside jit, and of
+            several states.
         components: names of what `parts` holds, where `signature` was asked for components.
         parts: the intensities by where their light comes from, see `Image.component_intensity`
             [view, component, band] [W sr-1]; they add up to `intensity`.
+        parts_error: standard error of `parts`, see `Image.component_error`.
+        axes: names of what else varies from row to row than the aspect, see `jaxir.io.result.sweep`.
+        state: its values [view, axis].
     """
 
     azimuth: Float[Array, " view"]
@@ -49,10 +54,13 @@ class Signature(eqx.Module):
     standard_error: Float[Array, "view band"]
     bands: tuple[str, ...] = eqx.field(static=True)
     truncation: Float[Array, "view band"]
-    spectral: Float[Array, " band"] | None = None
+    spectral: Float[Array, "*view band"] | None = None
     asked: Asked | None = None
     components: tuple[str, ...] = eqx.field(static=True, default=())
     parts: Float[Array, "view component band"] | None = None
+    parts_error: Float[Array, "view component band"] | None = None
+    axes: tuple[str, ...] = eqx.field(static=True, default=())
+    state: Float[Array, "view axis"] | None = None
 
     def error_budget(self, look: bool = True) -> ErrorBudget:
         """The intensities with all that is known of their errors, see `Image.error_budget`.
@@ -151,7 +159,7 @@ def whole_table(views: Views, found: tuple[Array, ...]) -> Signature:
     intensity, error, truncation, *parts = found
     azimuth, elevation = views.aspect.T
     nodes, names = views.lit.nodes, () if views.components is None else views.components.names
-    own = nodes.names, truncation, nodes.error, None, names, parts[0] if parts else None
+    own = nodes.names, truncation, nodes.error, None, names, *(parts or (None, None))
     return Signature(azimuth, elevation, intensity, error, *own)
 
 
@@ -226,11 +234,11 @@ def _prepared(
 
 @eqx.filter_jit
 def view_intensity(views: Views, index: Int[Array, ""]) -> tuple[Array, ...]:
-    """Contrast intensity of one view, its standard error, the share left out [band], and components if asked for."""
+    """Contrast intensity of one view, its standard error, the share left out [band]; by component, with errors."""
     camera = jax.tree.map(lambda leaf: leaf[index], views.cameras)
     key = jax.random.fold_in(views.key, index)
     own = key, jnp.zeros((), jnp.uint32), views.strata, views.method
     taken = Pass(views.lit, camera, *own, components=views.components)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
-    parts = () if views.components is None else (image.component_intensity(),)
+    parts = () if views.components is None else (image.component_intensity(), image.component_error())
     return image.radiant_intensity(), image.intensity_error(), image.truncation, *parts
