@@ -2,10 +2,11 @@
 
 The layout is that of AFSIM's documentation, pages "infrared_signature", "WSF_INFRARED_SIGNATURE" and
 "Azimuth-Elevation Table Definition": `state default`, for every `band` an `inline_table <unit> <azimuths> <elevations>`
-whose first row holds the elevations and whose other rows an azimuth and its values. Azimuths rise within -180 ... 180,
-elevations within -90 ... 90 degrees, at least two of each. Its entities' axes are those of IEEE 1278.1 (page
-"Coordinate Systems"), x to the nose, y to the right, z down, so its azimuths run to the right wing and ours to the
-left: the sign changes.
+whose first row holds the elevations and whose other rows an azimuth and its values. What else varies (`Signature.axes`)
+becomes states, `state mach_0.9_altitude_9000`, of which the first is the default, too. Azimuths rise within
+-180 ... 180, elevations within -90 ... 90 degrees, at least two of each. Its entities' axes are those of IEEE 1278.1
+(page "Coordinate Systems"), x to the nose, y to the right, z down, so its azimuths run to the right wing and ours to
+the left: the sign changes.
 
 AFSIM's sensors subtract the background and multiply by the transmittance of the air themselves (page on the equations
 of the IRST sensor: I_source - L_background A_projected, times transmittance), so the table they want is that of the
@@ -47,18 +48,22 @@ def save_afsim(path: str | os.PathLike, signature: Signature, name: str, conditi
     require_suffix(path, ".txt")
     if not re.fullmatch(r"\w[\w-]*", name):
         raise ValueError(f"name: got {name!r}, expected letters, digits, _ and -")
-    require_full_table(np.stack([signature.azimuth, signature.elevation], axis=1), signature.bands)
-    azimuth, elevation, table = _full_table(signature)
+    aspect = np.stack([signature.azimuth, signature.elevation], axis=1)
+    for rows in _states(signature).values():
+        require_full_table(aspect[rows], signature.bands)
     lines = [f"# {label}: {' '.join(str(value).split())}" for label, value in (conditions or {}).items()]
-    lines += [f"infrared_signature {name}", "   state default"]
-    for place, band in enumerate(signature.bands):
-        lines += [
-            f"      band {BANDS.get(band, 'default')}",
-            f"         inline_table w/sr {azimuth.size} {elevation.size}",
-            _row("", elevation),
-            *(_row(f"{angle:g}", row) for angle, row in zip(azimuth, table[:, :, place], strict=True)),
-            "         end_inline_table",
-        ]
+    lines.append(f"infrared_signature {name}")
+    for state, rows in _states(signature).items():
+        azimuth, elevation, table = _full_table(signature, rows)
+        lines.append(f"   state {state}")
+        for place, band in enumerate(signature.bands):
+            lines += [
+                f"      band {BANDS.get(band, 'default')}",
+                f"         inline_table w/sr {azimuth.size} {elevation.size}",
+                _row("", elevation),
+                *(_row(f"{angle:g}", row) for angle, row in zip(azimuth, table[:, :, place], strict=True)),
+                "         end_inline_table",
+            ]
     lines.append("end_infrared_signature")
     with written_whole(path) as part:
         part.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
@@ -83,11 +88,23 @@ def _row(head: str, values: np.ndarray) -> str:
     return f"{head:>20}" + "".join(f" {value:>14.7g}" for value in values)
 
 
-def _full_table(signature: Signature) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rising azimuths as AFSIM counts them, rising elevations, and intensities [azimuth, elevation, band]."""
-    given = np.stack([np.asarray(signature.azimuth), np.asarray(signature.elevation)], axis=1).astype(np.float64)
+def _states(signature: Signature) -> dict[str, np.ndarray]:
+    """The rows of every state by its name, the first as the default, too."""
+    if signature.state is None:
+        return {"default": np.arange(signature.azimuth.size)}
+    every, first, state = np.unique(np.asarray(signature.state), axis=0, return_index=True, return_inverse=True)
+    found = {}
+    for index in np.argsort(first).tolist():
+        pairs = zip(signature.axes, every[index].tolist(), strict=True)
+        found["_".join(f"{axis}_{value:.6g}" for axis, value in pairs)] = np.flatnonzero(state.reshape(-1) == index)
+    return {"default": next(iter(found.values())), **found}
+
+
+def _full_table(signature: Signature, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rising azimuths as AFSIM counts them, rising elevations, and intensities [azimuth, elevation, band] of rows."""
+    given = np.stack([np.asarray(signature.azimuth), np.asarray(signature.elevation)], axis=1).astype(np.float64)[rows]
     turned = np.where(given[:, 0] > 180, given[:, 0] - 360, given[:, 0])
-    intensity = np.asarray(signature.intensity, np.float64)
+    intensity = np.asarray(signature.intensity, np.float64)[rows]
     if not (intensity >= 0).all():
         raise ValueError(f"intensity: got {intensity.min():g} W/sr, expected values >= 0: the source's, not a contrast")
     held = {

@@ -34,12 +34,14 @@ def _split(result: Image | Signature) -> dict[str, np.ndarray]:
     """Components by the name that they have in files: radiances of an image, and intensities; none without."""
     if result.parts is None:
         return {}
+    found: dict[str, Any]
     if isinstance(result, Signature):
-        return {"component_intensity": np.asarray(result.parts)}
-    return {
-        "component_radiance": np.asarray(result.parts),
-        "component_intensity": np.asarray(result.component_intensity()),
-    }
+        found = {"component_intensity": result.parts, "component_error": result.parts_error}
+    else:
+        error = None if result.parts_error is None else result.component_error()
+        found = {"component_intensity": result.component_intensity(), "component_error": error}
+        found["component_radiance"] = result.parts
+    return {name: np.asarray(values) for name, values in found.items() if values is not None}
 
 
 def save_image(
@@ -50,8 +52,8 @@ def save_image(
     The arrays: radiance and standard_error [row, column, band] in W m-2 sr-1, empty [row or 1, column or 1, band],
     bands, pixel [2] in m, inverse_range in m-1, frame [3, 3] and target [3] of the camera, unit, and the conditions
     as JSON; with `errors` intensity, sampling_error, spectral_error and so on to total_error [band] in W sr-1; of an
-    image by component components, component_radiance [row, column, component, band] and component_intensity
-    [component, band].
+    image by component components, component_radiance [row, column, component, band], component_intensity and
+    component_error [component, band].
 
     Args:
         path: the file, ending in .npz.
@@ -120,7 +122,8 @@ def save_netcdf(
     the plane through the target [m]; a signature holds intensity and standard_error [view, band] with azimuth and
     elevation [view] in degrees. Every variable has its `units`; the conditions are attributes of the file. With
     `errors` there are sampling_error, spectral_error and so on to total_error, of an image [band] with its intensity.
-    By component there is component_intensity [..., component, band], and component_radiance of an image.
+    By component there are component_intensity and component_error [..., component, band], and component_radiance of an
+    image. What else varies in a table (`Signature.axes`) is a coordinate over its views.
 
     Args:
         path: the file, ending in .nc.
@@ -180,6 +183,7 @@ def _image_data(image: Image) -> tuple[dict[str, Any], dict[str, Any], dict[str,
 
 
 def _signature_data(table: Signature) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    state = {} if table.state is None else dict(zip(table.axes, np.asarray(table.state).T, strict=True))
     variables = {
         "intensity": (("view", "band"), np.asarray(table.intensity), {"units": INTENSITY}),
         "standard_error": (("view", "band"), np.asarray(table.standard_error), {"units": INTENSITY}),
@@ -188,6 +192,7 @@ def _signature_data(table: Signature) -> tuple[dict[str, Any], dict[str, Any], d
         "band": ("band", list(table.bands)),
         "azimuth": ("view", np.asarray(table.azimuth), {"units": "degree"}),
         "elevation": ("view", np.asarray(table.elevation), {"units": "degree"}),
+        **{name: ("view", values) for name, values in state.items()},
     }
     return variables, coordinates, {}
 
@@ -200,8 +205,9 @@ def save_signature(
 ) -> None:
     """Write a signature as CSV: azimuth_deg, elevation_deg, then intensity and standard error of every band in W/sr.
 
-    Conditions come first, as comments: lines `# name: value`. With `errors` every band has its other errors, too, and
-    a signature by component its components, as `MWIR_skin_W_per_sr`.
+    What else varies (`Signature.axes`) has columns before them. Conditions come first, as comments: lines
+    `# name: value`. With `errors` every band has its other errors, too, and a signature by component its components
+    with their standard errors, as `MWIR_skin_W_per_sr` and `MWIR_skin_standard_error_W_per_sr`.
 
     Raises:
         ValueError: another ending than .csv, or a folder that does not exist.
@@ -213,15 +219,19 @@ def save_signature(
     if signature.parts is not None:
         for index, name in enumerate(signature.components):
             named[re.sub(r"\W+", "_", name) + "_"] = signature.parts[:, index]
+            if signature.parts_error is not None:
+                named[re.sub(r"\W+", "_", name) + "_standard_error_"] = signature.parts_error[:, index]
     columns = [f"{band}_{what}W_per_sr" for band in signature.bands for what in named]
     values = np.stack([np.asarray(part) for part in named.values()], axis=-1)
     with written_whole(path) as part, part.open("w", newline="", encoding="utf-8") as stream:
         stream.writelines(f"# {name}: {_one_line(value)}\r\n" for name, value in (conditions or {}).items())
         writer = csv.writer(stream)
-        writer.writerow(["azimuth_deg", "elevation_deg", *columns])
-        for azimuth, elevation, row in zip(signature.azimuth, signature.elevation, values, strict=True):
-            numbers = [float(azimuth), float(elevation), *row.ravel().tolist()]
-            writer.writerow([f"{number:.9g}" for number in numbers])
+        writer.writerow([*signature.axes, "azimuth_deg", "elevation_deg", *columns])
+        aspect = np.stack([np.asarray(signature.azimuth), np.asarray(signature.elevation)], axis=1)
+        state = np.zeros((len(values), 0)) if signature.state is None else np.asarray(signature.state)
+        numbers = np.concatenate([aspect, values.reshape(len(values), -1)], axis=1)
+        for own, row in zip(state.tolist(), numbers.tolist(), strict=True):
+            writer.writerow([*(f"{number:.7g}" for number in own), *(f"{number:.9g}" for number in row)])
 
 
 def _one_line(value: Any) -> str:

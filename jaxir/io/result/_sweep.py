@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,21 +37,24 @@ from jaxir.transport import Method
 
 CONDITIONS = "conditions.json"
 _VALUES = ("intensity", "standard_error", "truncation")
+_SPLIT = ("component_intensity", "component_error")
 _DAMAGED = "got a damaged file, expected a finished view; delete it to repeat it"
 
 
 def sweep(
     folder: str | os.PathLike,
-    scene: Scene,
+    scene: Scene | Callable[..., Scene],
     views: Any,
     bands: Nodes | Band | Sequence[Band],
     *,
+    over: Mapping[str, Sequence[float]] | None = None,
     distance: Any = np.inf,
     shape: tuple[int, int] = (128, 128),
     samples: int = 2,
     key: Key[Array, ""] | None = None,
     method: Method | None = None,
     devices: Mesh | None = None,
+    components: str | None = None,
 ) -> Signature:
     """As `jaxir.signature`, but each view is written when it is finished, and views already written are not computed.
 
@@ -58,26 +62,39 @@ def sweep(
     lost. The numbers are those of a sweep in one go. In many processes the first one reads and writes the folder; two
     sweeps must not share one at a time, because each removes the parts of files that a killed one left.
 
+    More than the aspect varies with `over`, say Mach, altitude and throttle: `scene` is then a function of them by
+    name, and every combination has a folder of its own in this one. Scenes of one structure are compiled once.
+
+        sweep("table", flight, views, bands, over={"mach": [0.6, 0.9], "altitude": [3e3, 9e3], "throttle": [0.7, 1.0]})
+
     Args:
         folder: made if it does not exist; one NPZ of each view, and `conditions.json`, by which a folder begun under
             other conditions is recognised.
-        scene: as `jaxir.signature`, and so on.
+        scene: as `jaxir.signature`, and so on; with `over` a function that returns it.
         views: more may be added at the end later.
         bands: bands or nodes.
+        over: axes by name, with their values; more may be added later.
         distance: from the scene to the sensor [m].
         shape: rows and columns of the images.
         samples: rays per pixel.
         key: random key.
         method: as `jaxir.render`.
         devices: as `jaxir.signature`.
+        components: as `jaxir.signature`.
 
     Returns:
-        The whole table.
+        The whole table. With `over` its rows are all views of the first combination, then of the next, the last axis
+        fastest, with `Signature.axes` and `Signature.state`; its error budget knows sampling, scattering and nodes.
 
     Raises:
         ValueError: as `jaxir.signature`; the folder was begun under other conditions or holds a damaged file; the
-            folder it is to be made in does not exist; values known only inside jit.
+            folder it is to be made in does not exist; values known only inside jit; axes without values or scenes that
+            do not have the same components.
     """
+    if over is not None:
+        own = {"distance": distance, "shape": shape, "samples": samples, "key": key, "method": method}
+        return _over(Path(folder), scene, views, bands, over, {**own, "devices": devices, "components": components})
+    assert isinstance(scene, Scene)
     if is_traced((scene, views, distance, key, method)):
         raise ValueError("sweep: got values known only inside jit, expected a call outside it")
     asked = prepare_views(
@@ -89,6 +106,7 @@ def sweep(
         samples=samples,
         key=key,
         method=Method() if method is None else method,
+        components=components,
     )
     mesh = shared_by(devices, asked.aspect.shape[0], "views")
     conditions = _conditions(
@@ -98,18 +116,90 @@ def sweep(
         pixels=(shape, samples),
         method=asked.method,
         key=jax.random.key_data(key_or_default(key)),
+        **({} if components is None else {"components": components}),
     )
     files = _Folder(Path(folder), asked)
-    count, width = asked.aspect.shape[0], asked.lit.nodes.response.shape[0]
+    count = asked.aspect.shape[0]
     there = _from_first(lambda: files.finished(conditions), np.zeros(count, bool))
     to_do = np.flatnonzero(~there).astype(np.int32)
     for index, found in item_by_item(view_intensity, asked, to_do, "sweep", mesh):
         if jax.process_index() == 0:
-            rows = (np.asarray(part).reshape(index.size, width) for part in found)
+            rows = (np.asarray(part).reshape(index.size, *files.shapes[k]) for k, part in enumerate(found))
             for place, *values in zip(index.tolist(), *rows, strict=True):
-                files.write(place, *values)
-    empty = np.zeros((3, count, width), asked.aspect.dtype)
-    return remembering(whole_table(asked, tuple(jnp.asarray(_from_first(files.read, empty)))), scene, asked)
+                files.write(place, values)
+    empty = tuple(np.zeros((count, *shape), asked.aspect.dtype) for shape in files.shapes)
+    table = whole_table(asked, tuple(jnp.asarray(part) for part in _from_first(files.read, empty)))
+    return remembering(table, scene, asked)
+
+
+def _over(folder: Path, scene: Any, views: Any, bands: Any, over: Mapping[str, Any], asked: dict) -> Signature:
+    """The tables of all combinations of some axes, one below the other."""
+    axes = {name: np.atleast_1d(np.asarray(values, np.float64)) for name, values in over.items()}
+    for name, values in axes.items():
+        if values.ndim != 1 or values.size == 0 or not name.isidentifier():
+            raise ValueError(f"over: got {name!r} of shape {values.shape}, expected a name with a list of values")
+    if not axes or isinstance(scene, Scene) or not callable(scene):
+        raise ValueError(
+            f"over: got {', '.join(axes) or 'no axis'} with a {type(scene).__name__}, expected axes by name"
+        )
+
+    def make() -> np.ndarray:
+        if not folder.parent.is_dir():
+            raise ValueError(f"{folder}: the folder {folder.parent} does not exist")
+        folder.mkdir(exist_ok=True)
+        return np.zeros(())
+
+    _from_first(make, np.zeros(()))
+    states = [dict(zip(axes, state, strict=True)) for state in itertools.product(*(x.tolist() for x in axes.values()))]
+    tables = []
+    for state in states:
+        name = ",".join(f"{axis}={value:.9g}" for axis, value in state.items())
+        try:
+            tables.append(sweep(folder / name, scene(**state), views, bands, **asked))
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from error
+    return joined_tables(tables, states)
+
+
+def joined_tables(tables: Sequence[Signature], states: Sequence[Mapping[str, float]]) -> Signature:
+    """Tables of several states as one, one below the other.
+
+    Args:
+        tables: of equal bands and components.
+        states: of each table, the values of the same axes by name.
+
+    Raises:
+        ValueError: tables of different bands or components.
+    """
+    kinds = {(table.bands, table.components) for table in tables}
+    if len(kinds) != 1:
+        raise ValueError(f"tables: got {len(kinds)} kinds of bands and components, expected the same in all states")
+    bands, components = kinds.pop()
+    rows = [len(table.azimuth) for table in tables]
+    shares = [
+        table.asked.spectral(False) if table.spectral is None and table.asked is not None else table.spectral
+        for table in tables
+    ]
+    spread = [jnp.broadcast_to(x, (n, len(bands))) for x, n in zip(shares, rows, strict=True) if x is not None]
+
+    def together(name: str) -> Any:
+        parts = [getattr(table, name) for table in tables]
+        return None if parts[0] is None else jnp.concatenate(parts)
+
+    return Signature(
+        azimuth=together("azimuth"),
+        elevation=together("elevation"),
+        intensity=together("intensity"),
+        standard_error=together("standard_error"),
+        bands=bands,
+        truncation=together("truncation"),
+        spectral=jnp.concatenate(spread) if len(spread) == len(tables) else None,
+        components=components,
+        parts=together("parts"),
+        parts_error=together("parts_error"),
+        axes=tuple(states[0]),
+        state=as_float(np.repeat([list(state.values()) for state in states], rows, axis=0)),
+    )
 
 
 class _Folder:
@@ -118,6 +208,11 @@ class _Folder:
     def __init__(self, path: Path, views: Views):
         self.path, self.bands = path, views.lit.nodes.names
         self.aspect = np.asarray(views.aspect)
+        self.components = () if views.components is None else views.components.names
+        width = len(self.bands)
+        split = [(len(self.components), width)] * 2 if self.components else []
+        self.shapes = [(width,), (width,), (width,), *split]  # of the values of a view
+        self.names = [*_VALUES, *(_SPLIT if self.components else ())]
 
     def view(self, index: int) -> Path:
         return self.path / f"view_{index:06d}.npz"
@@ -143,37 +238,37 @@ class _Folder:
         else:
             with written_whole(file) as part:
                 part.write_text(json.dumps(conditions, indent=1))
-        return np.array([self.view(i).exists() and self._load(i).size > 0 for i in range(len(self.aspect))])
+        return np.array([self.view(i).exists() and bool(self._load(i)) for i in range(len(self.aspect))])
 
-    def write(self, index: int, intensity: np.ndarray, error: np.ndarray, truncation: np.ndarray) -> None:
+    def write(self, index: int, values: Sequence[np.ndarray]) -> None:
         with written_whole(self.view(index)) as part, part.open("wb") as stream:
             azimuth, elevation = self.aspect[index]
             np.savez(
                 stream,
                 azimuth=azimuth,
                 elevation=elevation,
-                intensity=intensity,
-                standard_error=error,
-                truncation=truncation,
+                **dict(zip(self.names, values, strict=True)),
                 bands=np.array(self.bands),
+                components=np.array(self.components, str),
                 unit="W sr-1",
             )
             stream.flush()
             os.fsync(stream.fileno())
 
-    def read(self) -> np.ndarray:
-        """Intensity, standard error and truncation share of all views [3, view, band]."""
-        return np.stack([self._load(index) for index in range(len(self.aspect))], axis=1)
+    def read(self) -> tuple[np.ndarray, ...]:
+        """What `view_intensity` finds of all views [view, ...]."""
+        return tuple(np.stack(part) for part in zip(*(self._load(i) for i in range(len(self.aspect))), strict=True))
 
-    def _load(self, index: int) -> np.ndarray:
+    def _load(self, index: int) -> list[np.ndarray]:
         file = self.view(index)
         try:
             data = load_arrays(file)
             aspect = np.array([data["azimuth"], data["elevation"]])
-            found = np.stack([data[name].astype(self.aspect.dtype) for name in _VALUES])
+            found = [data[name].astype(self.aspect.dtype) for name in self.names]
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{file}: {_DAMAGED} ({error})") from error
-        whole = found.shape[1:] == (len(self.bands),) and np.isfinite(found[:2]).all() and (found[1] >= 0).all()
+        good = [np.isfinite(part).all() for part in found[:2] + found[3:]] + [(found[1] >= 0).all()]
+        whole = [part.shape for part in found] == self.shapes and all(good)
         if not whole or data.get("bands", np.array([])).tolist() != list(self.bands):
             raise ValueError(f"{file}: {_DAMAGED} (with finite values of {', '.join(self.bands)})")
         if not np.array_equal(aspect, self.aspect[index]):

@@ -20,10 +20,12 @@ import numpy as np
 from jaxir._arrays import enforce, float_dtype
 from jaxir.io._files import largest_number, read_text, require_file
 from jaxir.io.field import load_array
+from jaxir.optics.air import air_pressure, air_temperature
 
 LARGEST_FILE = 64 * 2**20  # bytes of a scene file
 MOST_CELLS = 2**26  # pixels of an image, cells of a grid
 _LEAF = (int, float)
+COMPUTED: dict[str, Callable] = {"air_temperature": air_temperature, "air_pressure": air_pressure}
 
 
 class Entry(NamedTuple):
@@ -174,7 +176,8 @@ def numbers(entry: Entry) -> float | np.ndarray:
     """A number, an array of numbers, or numbers elsewhere.
 
     `{ path = "file.npz", array = "name" }` and `{ path = "file.npy" }` stand for an array in a file,
-    `{ field = "name" }` for a field of the flow that a plume is read from.
+    `{ field = "name" }` for a field of the flow that a plume is read from, `{ type = "air_temperature", ... }` for what
+    one of `COMPUTED` returns.
     """
     if isinstance(entry.value, dict):
         return _elsewhere(entry)
@@ -187,7 +190,10 @@ def numbers(entry: Entry) -> float | np.ndarray:
     return np.stack(members) if members else np.zeros(0)
 
 
-def _elsewhere(entry: Entry) -> np.ndarray:
+def _elsewhere(entry: Entry) -> float | np.ndarray:
+    if "type" in entry.value:
+        value = np.asarray(build(entry, COMPUTED, {}), np.float64)
+        return value if value.ndim else float(value)
     if "field" in entry.value:
         name = one_of(list(entry.fields))
         if not entry.fields:

@@ -13,6 +13,7 @@ Every table describes one object: `type` names the class or function, the other 
     [resolve_jet] tolerance to which jets are integrated
     [render]      parameters of `jaxir.render`
     [signature]   parameters of `jaxir.signature`, its `views` among them
+    [over]        values that vary, see `jaxir.io.scene_file.States`
 
 Paths are relative to the folder of the file.
 """
@@ -42,6 +43,7 @@ from jaxir.io.scene_file._entries import (
     text,
 )
 from jaxir.io.scene_file._skins import read_skin
+from jaxir.io.scene_file._states import States, read_states
 from jaxir.io.scene_file._vocabulary import (
     ATMOSPHERES,
     BACKGROUNDS,
@@ -71,6 +73,7 @@ class SceneFile(NamedTuple):
         render: other parameters of `jaxir.render`.
         signature: other parameters of `jaxir.signature`, `views` among them.
         notes: what reading computed fields did to them.
+        states: what varies; None without `over`, beside which all else is as the file has it.
     """
 
     file: Path
@@ -81,6 +84,13 @@ class SceneFile(NamedTuple):
     render: dict[str, Any]
     signature: dict[str, Any]
     notes: tuple[str, ...]
+    states: States | None = None
+
+    def at(self, **state: float) -> SceneFile:
+        """The file in a state, of a value of every axis of `over` by its name; errors as `load_scene`."""
+        if self.states is None:
+            raise ValueError(f"{self.file}: got no section over, expected it for {', '.join(state)}")
+        return _read(self.states.at(**state))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -106,6 +116,9 @@ class SceneFile(NamedTuple):
             lines += [f"  {part}: {_pixels(points, camera)}" for part, points in _outlines(scene).items()]
         if "views" in self.signature:
             lines.append(f"signature: {len(self.signature['views'])} views")
+        if self.states is not None:
+            axes = ", ".join(f"{name} {' '.join(f'{x:g}' for x in own)}" for name, own in self.states.over.items())
+            lines.append(f"over {axes}: {len(self.states.every)} states")
         return "\n".join(lines)
 
 
@@ -177,6 +190,7 @@ SECTIONS = (
     "resolve_jet",
     "render",
     "signature",
+    "over",
 )
 
 
@@ -193,7 +207,10 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
         ValueError: a file that is missing, cut or not readable, a key that is unknown or missing, a value of another
             type or out of range; one line that names file, key, what was got and what was expected.
     """
-    whole = read_toml(Path(path))
+    return _read(read_toml(Path(path)))
+
+
+def _read(whole: Entry) -> SceneFile:
     for old, new in RENAMED.items():
         if old in whole.children():
             raise whole.children()[old].wrong(f"the key {new}, which took its place in version 0.2")
@@ -223,6 +240,7 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
         render=arguments(parts["render"], render, RENDER_READERS, ELSEWHERE) if "render" in parts else {},
         signature=_signature(parts["signature"]) if "signature" in parts else {},
         notes=notes,
+        states=read_states(parts["over"], whole) if "over" in parts else None,
     )
 
 

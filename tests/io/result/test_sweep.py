@@ -1,6 +1,7 @@
 """A sweep goes on where it was killed: nothing lost, nothing computed twice, nothing mixed."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -12,8 +13,9 @@ import pytest
 
 import jaxir
 from jaxir.io.result import _sweep as sweep_module
-from jaxir.io.result import sweep
+from jaxir.io.result import save_afsim, save_signature, sweep
 from tests.io.result.sweeping import SHAPE, asked
+from tests.scenes import plate
 
 ROOT = Path(__file__).parents[3]
 
@@ -98,3 +100,65 @@ def test_what_does_not_fit_is_refused(tmp_path):
         sweep(folder, scene, views, bands, shape=SHAPE)
     with pytest.raises(ValueError, match="does not exist"):
         sweep(tmp_path / "no" / "sweep", scene, views, bands, shape=SHAPE)
+
+
+def flight(mach, altitude, throttle):
+    """A plate as hot as the air makes it, with an engine's heat on top."""
+    return jaxir.Scene(plate(temperature=jaxir.air_temperature(altitude, mach) + 100 * throttle))
+
+
+OVER = {"mach": [0.6, 0.9], "altitude": [3000.0, 9000.0], "throttle": [0.5, 1.0]}
+VIEWS = [(azimuth, elevation) for azimuth in (-60.0, 60.0) for elevation in (0.0, 30.0)]
+
+
+@pytest.fixture(scope="module")
+def five_axes(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("five") / "sweep"
+    asked = {"over": OVER, "shape": SHAPE, "components": "sources"}
+    return sweep(folder, flight, VIEWS, jaxir.LWIR, **asked), folder, asked
+
+
+def test_five_axes_are_one_table(five_axes, computed):
+    table, folder, asked = five_axes
+    assert table.intensity.shape == (32, 1) and table.axes == ("mach", "altitude", "throttle")
+    states = np.array([(m, a, t) for m in (0.6, 0.9) for a in (3000, 9000) for t in (0.5, 1.0) for _ in VIEWS])
+    np.testing.assert_allclose(table.state, states, rtol=1e-6)
+    lone = jaxir.signature(flight(0.9, 3000.0, 1.0), VIEWS, jaxir.LWIR, shape=SHAPE, components="sources")
+    np.testing.assert_allclose(table.intensity[20:24], lone.intensity, rtol=1e-6)
+    np.testing.assert_allclose(table.parts[20:24], lone.parts, rtol=1e-6)
+    np.testing.assert_allclose(table.parts_error[20:24, 0], lone.standard_error, rtol=1e-5)  # of skin alone
+    more = {**asked, "over": {**OVER, "throttle": [0.5, 0.75, 1.0]}}
+    assert sweep(folder, flight, VIEWS, jaxir.LWIR, **more).intensity.shape == (48, 1)
+    assert len(computed) == 4 * len(VIEWS)  # of the new states alone
+    budget = table.error_budget()
+    assert budget.bounces is None and float(budget.spectral.max()) == 0
+
+
+def test_five_axes_come_back_from_files(five_axes, tmp_path):
+    table = five_axes[0]
+    save_signature(tmp_path / "t.csv", table)
+    save_afsim(tmp_path / "t.txt", table, "t")
+    header, *rows = (tmp_path / "t.csv").read_text().splitlines()
+    assert header.split(",")[:5] == ["mach", "altitude", "throttle", "azimuth_deg", "elevation_deg"]
+    assert header.split(",")[-2:] == ["LWIR_skin_W_per_sr", "LWIR_skin_standard_error_W_per_sr"]
+    held = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    np.testing.assert_allclose(held[:, :3], table.state, rtol=1e-6)
+    np.testing.assert_allclose(held[:, [5, 6]], np.stack([table.intensity, table.standard_error])[..., 0].T, rtol=1e-6)
+    states = re.split(r"   state (\S+)\n", (tmp_path / "t.txt").read_text())
+    tables = dict(zip(states[1::2], states[2::2], strict=True))
+    assert list(tables)[:3] == ["default", "mach_0.6_altitude_3000_throttle_0.5", "mach_0.6_altitude_3000_throttle_1"]
+    assert len(tables) == 9 and tables["default"] == tables["mach_0.6_altitude_3000_throttle_0.5"]
+    rows = tables["mach_0.9_altitude_3000_throttle_1"].splitlines()[3:5]  # of -60 and 60, to the right wing
+    found = np.array([[float(word) for word in row.split()] for row in rows])
+    np.testing.assert_allclose(found[:, 1:], np.asarray(table.intensity)[20:24, 0].reshape(2, 2)[::-1], rtol=1e-6)
+
+
+def test_axes_that_are_none_are_refused(tmp_path):
+    views = [(0.0, 0.0)]
+    for scene, over, message in (
+        (flight, {"mach": []}, r"over: got 'mach' of shape \(0,\), expected a name with a list of values"),
+        (flight(0.5, 0.0, 0.0), {"mach": [1.0]}, "over: got mach with a Scene, expected axes by name"),
+        (lambda altitude: flight(0.5, altitude, 0.0), {"altitude": [3e4]}, "altitude=30000: altitude: got 30000"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            sweep(tmp_path / "s", scene, views, jaxir.LWIR, over=over, shape=SHAPE)
