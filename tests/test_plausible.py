@@ -221,7 +221,7 @@ def test_who_asks_may_refuse_it():
 
 def test_examples_are_not_doubted():
     paths = sorted((ROOT / "examples").glob("*.toml"))
-    assert len(paths) == 4
+    assert len(paths) == 5
     for path in paths:
         assert said_of(lambda path=path: load_scene(path).scene) == [], path
 

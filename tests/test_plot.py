@@ -1,6 +1,7 @@
 """Plots show the numbers they are given; without matplotlib they say what to install."""
 
 import dataclasses
+import io
 import sys
 
 import jax.numpy as jnp
@@ -32,6 +33,36 @@ def test_images_share_a_scale_per_band():
     plot.radiance_image(image((0.0, -1.0))).canvas.draw()
 
 
+def test_temperatures_and_contrasts_have_their_scales():
+    scene = jaxir.Scene(plate(emissivity=1.0, temperature=420.0), background=jaxir.BlackbodyBackground(280.0))
+    camera = jaxir.orthographic_camera(0.0, 0.0, 0.2, (8, 8))
+    found = jaxir.render(scene, camera, (jaxir.MWIR, jaxir.LWIR), samples=2)
+    for shown in (axis.images[0] for axis in plot.radiance_image(found, quantity="temperature").axes if axis.images):
+        assert [float(shown.get_array().min()), float(shown.get_array().max())] == pytest.approx([280, 420], rel=1e-4)
+        assert shown.norm.vmin == pytest.approx(280, rel=1e-4)
+    colder = dataclasses.replace(found, empty=found.empty + 100)
+    shown = plot.radiance_image(colder, quantity="contrast").axes[0].images[0]
+    assert shown.norm.vmin == -shown.norm.vmax and shown.get_cmap().name == "RdBu_r"
+    with pytest.raises(ValueError, match="got temperature of an image without nodes"):
+        plot.radiance_image(image((1.0, 2.0)), quantity="temperature")
+
+
+def test_a_sequence_is_a_strip_or_a_film():
+    from PIL import Image as Picture
+
+    frames = {f"second {i}": image((1.0 + i, 5.0)) for i in range(14)}
+    strip = plot.film_strip(frames)
+    shown = [axis for axis in strip.axes if axis.images and axis.get_visible()]
+    assert len(shown) == 24 and len({(a.images[0].norm.vmin, a.images[0].norm.vmax) for a in shown}) == 2
+    assert any("second 13" in axis.get_title() for axis in shown)
+    film = Picture.open(io.BytesIO(plot.film(dict(list(frames.items())[:3]), seconds=0.25)))
+    assert film.format == "GIF" and film.n_frames == 3 and film.info["duration"] == 250
+    with pytest.raises(ValueError, match="images: got 2 of 2 kinds"):
+        plot.film_strip({"a": image((1.0, 2.0)), "b": image((1.0,), ("SWIR",))})
+    with pytest.raises(ValueError, match="seconds: got 0"):
+        plot.film(frames, seconds=0)
+
+
 def signature(azimuth, elevation, value):
     azimuth, elevation, value = (jnp.asarray(a, jnp.float32) for a in (azimuth, elevation, value))
     return jaxir.Signature(azimuth, elevation, value[:, None], 0 * value[:, None], ("MWIR",), 0 * value[:, None])
@@ -46,6 +77,15 @@ def test_a_signature_closes_its_circle_and_marks_what_is_negative():
     assert np.nanmax(lines[1].get_ydata()) == pytest.approx(5, rel=1e-5)  # of -5 at azimuth 180
     half = plot.polar_signature(signature([0.0, 0.0, 0.0], [-30.0, 90.0, 0.0], [1.0, 2.0, 3.0])).axes[0].get_lines()[0]
     np.testing.assert_allclose(half.get_xdata(), np.deg2rad([-30, 0, 90]))
+
+
+def test_states_are_curves_of_a_panel_for_each_band():
+    angle = np.tile(np.arange(0.0, 360.0, 30.0), 2)
+    table = signature(angle, 0 * angle, np.repeat([1.0, 2.0], 12))
+    table = dataclasses.replace(table, axes=("mach",), state=jnp.asarray(np.repeat([[0.6], [0.9]], 12, axis=0)))
+    (axis,) = plot.polar_signature(table).axes
+    assert [line.get_label() for line in axis.get_lines()] == ["mach 0.6", "mach 0.9"]
+    assert [line.get_ydata().tolist() for line in axis.get_lines()] == [[1.0] * 13, [2.0] * 13]
 
 
 def test_a_spectrum_integrates_to_the_band():
@@ -74,8 +114,8 @@ def test_error_bars_are_as_high_as_the_total():
     assert said == [
         "",
         "",
-        "spectral: not known, truncation: inf, bounces: not known",
-        "spectral: not known, bounces: not known",
+        "spectral: not known\ntruncation: inf\nbounces: not known",
+        "spectral: not known\nbounces: not known",
     ]
 
 
@@ -149,7 +189,7 @@ def test_an_image_says_band_aspect_range_and_quantity():
     seen = plot.radiance_image(dataclasses.replace(image((1.0, 5.0)), camera=near)).axes[0].get_title()
     assert seen == "MWIR\nazimuth 90°, elevation 30°, 5 km"
     for options, message in (
-        ({"quantity": "power"}, "quantity: got 'power', expected radiance or contrast"),
+        ({"quantity": "power"}, "quantity: got 'power', expected radiance, contrast, temperature"),
         ({"scale": "dB"}, "scale: got 'dB', expected auto, log, linear"),
         ({"limits": "mine"}, "limits: got 'mine', expected shared, own"),
         ({"limits": (2.0, 1.0)}, r"limits: got \(2.0, 1.0\), expected the lower value first"),

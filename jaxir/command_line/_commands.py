@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
@@ -17,6 +18,7 @@ import numpy as np
 from jaxir import plot
 from jaxir._arrays import require
 from jaxir.command_line._formats import (
+    FILM_FORMATS,
     RENDER_FORMATS,
     SHOW_FORMATS,
     SIGNATURE_FORMATS,
@@ -26,8 +28,8 @@ from jaxir.command_line._formats import (
 )
 from jaxir.command_line._quantities import conditions_of, named, naming, quantities_of, read_scene, scene_of
 from jaxir.geometry import Camera
-from jaxir.imaging import ErrorBudget, Image, Outcome, check_views, prepare_image, render, signature
-from jaxir.io.result import require_full_table
+from jaxir.imaging import ErrorBudget, Image, Outcome, Signature, check_views, prepare_image, render, signature
+from jaxir.io.result import require_full_table, sweep
 from jaxir.io.scene_file import SceneFile
 from jaxir.optics.spectrum import as_nodes
 from jaxir.scene import Scene
@@ -71,7 +73,7 @@ def render_command(arguments: argparse.Namespace) -> None:
                     image,
                     conditions,
                     errors,
-                    arguments.scale,
+                    **drawn_as(arguments),
                 )
 
 
@@ -103,13 +105,55 @@ def signature_command(arguments: argparse.Namespace) -> None:
     for quantity, label in quantities.items():
         scene, began = scene_of(read, quantity), time.perf_counter()
         asked = read.signature | split_by(arguments)
-        table = naming(read, partial(signature, scene, bands=read.bands, method=read.method, **asked))
+        asked |= {"bands": read.bands, "method": read.method}
+        if read.states is None and arguments.folder is None:
+            table = naming(read, partial(signature, scene, **asked))
+        else:
+            table = naming(read, partial(table_of_states, read, quantity, arguments.folder, label, asked))
         errors = table.error_budget(arguments.errors)
         warn_of_errors(read, errors)
         print(f"{quantity}\n{errors}")
         conditions = conditions_of(read, quantity, began, errors=errors.described(), unit="W sr-1")
         for path in outputs:
-            write(SIGNATURE_FORMATS, named(path, label), table, conditions, errors, arguments.scale)
+            write(SIGNATURE_FORMATS, named(path, label), table, conditions, errors, **drawn_as(arguments))
+
+
+def table_of_states(
+    read: SceneFile, quantity: str, folder: Path | None, label: str, asked: dict[str, Any]
+) -> Signature:
+    """The table of all states of a file, or of the file, whose finished views are kept in a folder if there is one."""
+    with tempfile.TemporaryDirectory() as own:
+        kept = Path(own) / "views" if folder is None else named(folder, label)
+        if read.states is None:
+            return sweep(kept, scene_of(read, quantity), **asked)
+        return sweep(kept, lambda **state: scene_of(read.at(**state), quantity), over=read.states.over, **asked)
+
+
+def film_command(arguments: argparse.Namespace) -> None:
+    """`jaxir film`: an image of every camera in every state of `over`, as a film or a strip."""
+    outputs = outputs_of(arguments.output, [Path(f"{arguments.scene.stem}.gif")], FILM_FORMATS)
+    read = read_scene(arguments.scene)
+    if read.states is None or not read.cameras:
+        raise ValueError(f"{read.file}: got no section over or no camera, expected both for film")
+    for quantity, label in quantities_of(arguments).items():
+        films: dict[str, dict[str, Image]] = {name: {} for name in read.cameras}
+        for state in read.states.every:
+            own = naming(read, partial(read.at, **state))
+            title = ", ".join(f"{axis} {value:g}" for axis, value in state.items())
+            for name, camera in own.cameras.items():
+                asked = {"method": own.method, **own.render}
+                films[name][title] = naming(read, partial(render, scene_of(own, quantity), camera, own.bands, **asked))
+        for name, images in films.items():
+            for path in outputs:
+                path = named(path, f"_{name}" if name else "", label)
+                FILM_FORMATS[path.suffix].save(path, images, **drawn_as(arguments))
+                print(f"wrote {path}")
+
+
+def drawn_as(arguments: argparse.Namespace) -> dict[str, str]:
+    """What the command line says of pictures."""
+    asked = {"scale": arguments.scale, "quantity": getattr(arguments, "picture", None)}
+    return {name: value for name, value in asked.items() if value is not None}
 
 
 def split_by(arguments: argparse.Namespace) -> dict[str, str]:
@@ -118,10 +162,13 @@ def split_by(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def _by_component(image: Image) -> str:
-    """Components of a radiant intensity, a line for each."""
+    """Components of a radiant intensity with their standard errors, a line for each."""
     width = max(len(name) for name in image.components)
-    rows = zip(image.components, np.asarray(image.component_intensity()).tolist(), strict=True)
-    return "\n".join(f"  {name:{width}s}" + "".join(f"{x:14.5g}" for x in own) for name, own in rows)
+    value, error = np.asarray(image.component_intensity()), np.asarray(image.component_error())
+    rows = zip(image.components, np.stack([value, error], axis=2).tolist(), strict=True)
+    return "\n".join(
+        f"  {name:{width}s}" + "".join(f"{f'{x:.5g} ± {e:.2g}':>22s}" for x, e in own) for name, own in rows
+    )
 
 
 def show_command(arguments: argparse.Namespace) -> None:

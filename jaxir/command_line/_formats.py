@@ -36,16 +36,23 @@ def save_figure(path: Path, figure: Any) -> None:
         figure.savefig(part, dpi=120, format="png")
 
 
-def image_figure(image: Image, scale: str) -> Any:
-    """The picture of an image, or of its components."""
-    if image.parts is not None:
-        return plot.component_panels(image, scale=scale)
-    return plot.radiance_image(image, scale=scale)
+def image_figure(image: Image, **options: str) -> Any:
+    """The picture of an image, or of its components where no other quantity is asked for."""
+    if image.parts is not None and options.get("quantity", "radiance") == "radiance":
+        return plot.component_panels(image, scale=options.get("scale", "auto"))
+    return plot.radiance_image(image, **options)
 
 
-def signature_figure(table: Signature, scale: str) -> Any:
+def signature_figure(table: Signature, **options: str) -> Any:
     """The picture of a signature, or of its components."""
-    return plot.polar_signature(table, scale=scale) if table.parts is None else plot.component_signature(table)
+    return plot.polar_signature(table, **options) if table.parts is None else plot.component_signature(table)
+
+
+def save_film(path: Path, images: dict[str, Image], **options: Any) -> None:
+    """Write a sequence of images as a film."""
+    film = plot.film(images, **options)
+    with written_whole(path) as part:
+        part.write_bytes(film)
 
 
 RENDER_FORMATS = {
@@ -59,7 +66,7 @@ RENDER_FORMATS = {
     ".png": Format(
         "picture with colour bar, and one of each component (extra plot)",
         ("matplotlib", "plot"),
-        lambda path, image, *about, scale="auto": save_figure(path, image_figure(image, scale)),
+        lambda path, image, *about, **options: save_figure(path, image_figure(image, **options)),
     ),
 }
 SIGNATURE_FORMATS = {
@@ -73,7 +80,15 @@ SIGNATURE_FORMATS = {
     ".png": Format(
         "polar plot, or lines by component (extra plot)",
         ("matplotlib", "plot"),
-        lambda path, table, *about, scale="log": save_figure(path, signature_figure(table, scale)),
+        lambda path, table, *about, **options: save_figure(path, signature_figure(table, **options)),
+    ),
+}
+FILM_FORMATS = {
+    ".gif": Format("film (extra plot)", ("matplotlib", "plot"), save_film),
+    ".png": Format(
+        "strip of twelve frames at most (extra plot)",
+        ("matplotlib", "plot"),
+        lambda path, images, **options: save_figure(path, plot.film_strip(images, **options)),
     ),
 }
 REPORT_FORMATS = {
@@ -101,10 +116,10 @@ def write(
     result: Image | Signature,
     conditions: Conditions,
     errors: ErrorBudget,
-    scale: str | None,
+    **options: str,
 ) -> None:
-    """Write a result by the ending of the file's name, and say so; `scale` is that of a picture."""
-    picture = {"scale": scale} if scale is not None and path.suffix == ".png" else {}
+    """Write a result by the ending of the file's name, and say so; options are those of a picture."""
+    picture = options if path.suffix == ".png" else {}
     formats[path.suffix].save(path, result, conditions, errors, **picture)
     print(f"wrote {path}")
 

@@ -10,11 +10,12 @@ from functools import cache
 from pathlib import Path
 from typing import NoReturn
 
-from jaxir.command_line._commands import render_command, show_command, signature_command
-from jaxir.command_line._formats import RENDER_FORMATS, REPORT_FORMATS, SHOW_FORMATS, SIGNATURE_FORMATS
+from jaxir.command_line._commands import film_command, render_command, show_command, signature_command
+from jaxir.command_line._formats import FILM_FORMATS, RENDER_FORMATS, REPORT_FORMATS, SHOW_FORMATS, SIGNATURE_FORMATS
 from jaxir.command_line._quantities import QUANTITIES
 from jaxir.command_line._report import report_command
 from jaxir.plot import COLOURS, PICTURE_SCALES
+from jaxir.plot import QUANTITIES as PICTURES
 from jaxir.transport import KINDS
 
 DESCRIPTION = "Infrared radiance images and signatures of scenes described in TOML files."
@@ -74,6 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     for name, run, said, formats in (
         ("render", render_command, "radiance images, one for each camera", RENDER_FORMATS),
         ("signature", signature_command, "radiant intensity over aspects", SIGNATURE_FORMATS),
+        ("film", film_command, "images of all states of the section over, as a film or a strip", FILM_FORMATS),
         ("report", report_command, "images, signature, components and errors in one HTML page", REPORT_FORMATS),
         ("show", show_command, "read and check a scene, say what it holds, draw it; nothing is rendered", SHOW_FORMATS),
     ):
@@ -91,6 +93,7 @@ def _parser() -> argparse.ArgumentParser:
         default = {
             "render": "the scene's name with .npz, here",
             "signature": "the scene's name with .csv, here",
+            "film": "the scene's name with .gif, here",
             "report": "the scene's name with _report.html, here",
         }
         command.add_argument(
@@ -113,7 +116,10 @@ def _parser() -> argparse.ArgumentParser:
                 help="; ".join(f"{quantity}: {what}" for quantity, what in QUANTITIES.items())
                 + f". {repeated}(default: apparent)",
             )
-        if name in PICTURE_SCALES:
+        if name == "signature":
+            kept = "where every finished view is kept, so that the same command goes on after it was killed"
+            command.add_argument("--folder", type=Path, metavar="FOLDER", help=kept)
+        if name in ("render", "signature"):
             command.add_argument(
                 "--errors",
                 action="store_true",
@@ -124,6 +130,9 @@ def _parser() -> argparse.ArgumentParser:
                 choices=KINDS,
                 help="split results by where their light comes from: sources, or parts for each part of the skin, too",
             )
+        if name in PICTURE_SCALES:
             command.add_argument("--scale", choices=PICTURE_SCALES[name], help="of a picture")
+        if name in ("render", "film"):
+            command.add_argument("--picture", choices=PICTURES, help="what a picture shows (default: radiance)")
         command.add_argument("--traceback", action="store_true", help="show where in the program an error arose")
     return parser

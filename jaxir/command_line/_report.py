@@ -25,6 +25,7 @@ from jaxir.command_line._quantities import QUANTITIES, naming, read_scene, scene
 from jaxir.imaging import ErrorBudget, Image, Signature, render, signature
 from jaxir.io.scene_file import SceneFile, read_toml
 from jaxir.optics.spectrum import Nodes
+from jaxir.scene import Scene
 from jaxir.transport import DirectSampling, Method
 
 MOST_ROWS = 400  # of a table in a page; a CSV holds the rest
@@ -43,7 +44,8 @@ def report_command(arguments: argparse.Namespace) -> None:
         page.heading("Scene")
         page.text("\n".join([read.describe(), *read.notes]))
         page.figure(plot.scene_view(read.scene, read.cameras), "Parts, plumes, lights and the frames of the cameras.")
-        page.figure(plot.scene_view(read.scene, colour="temperature"), "Temperature of the faces.")
+        if read.scene.skin is not None:
+            page.figure(plot.scene_view(Scene(read.scene.skin), colour="temperature"), "Temperature of the faces.")
         scene = scene_of(read, quantity)
         for name, camera in read.cameras.items():
             asked = {"components": "sources", **read.render}
@@ -97,10 +99,12 @@ def write_image(page: Page, read: SceneFile, name: str, image: Image) -> None:
     warn_of_errors(read, errors)
     page.heading(f"Image{f' {name}' if name else ''}")
     page.figure(plot.radiance_image(image), f"Radiance at the sensor, {int(image.samples)} rays per pixel.")
+    seen = "Temperature of a blackbody that is as bright in the band."
+    page.figure(plot.radiance_image(image, quantity="temperature"), seen)
     page.figure(plot.component_bars(image), "Radiant intensity by where its light comes from.")
     page.figure(plot.component_panels(image), "The same light as images, each with a scale of its own.")
     page.heading("Radiant intensity [W/sr]", 3)
-    _by_component(page, image.bands, image.components, np.asarray(image.component_intensity()), errors)
+    _by_component(page, image, errors)
     _write_budget(page, errors)
 
 
@@ -108,8 +112,7 @@ def write_signature(page: Page, read: SceneFile, table: Signature) -> None:
     errors = table.error_budget(look=False)
     warn_of_errors(read, errors)
     page.heading("Signature")
-    for scale in ("log", "dB"):
-        page.figure(plot.polar_signature(table, scale=scale), "Radiant intensity, bands of two standard errors.")
+    page.figure(plot.polar_signature(table), "Radiant intensity, bands of two standard errors.")
     page.figure(plot.component_signature(table), "Radiant intensity by where its light comes from.")
     page.heading("Radiant intensity [W/sr], standard error, and components", 3)
     head = ["azimuth", "elevation"]
@@ -128,12 +131,14 @@ def write_signature(page: Page, read: SceneFile, table: Signature) -> None:
     _write_budget(page, errors)
 
 
-def _by_component(
-    page: Page, bands: tuple[str, ...], names: tuple[str, ...], value: np.ndarray, errors: ErrorBudget
-) -> None:
-    total = np.asarray(errors.intensity)
-    rows = [[name, *(f"{x:.5g}" for x in own.tolist())] for name, own in zip(names, value, strict=True)]
-    page.table(["component", *bands], [*rows, ["sum", *(f"{x:.5g}" for x in total.tolist())]])
+def _by_component(page: Page, image: Image, errors: ErrorBudget) -> None:
+    value = np.concatenate([np.asarray(image.component_intensity()), np.asarray(errors.intensity)[None]])
+    error = np.concatenate([np.asarray(image.component_error()), np.asarray(errors.sampling)[None]])
+    rows = [
+        [name, *(word for x, e in zip(own, spread, strict=True) for word in (f"{x:.5g}", f"{e:.2g}"))]
+        for name, own, spread in zip([*image.components, "sum"], value.tolist(), error.tolist(), strict=True)
+    ]
+    page.table(["component", *(word for band in image.bands for word in (band, "±"))], rows)
 
 
 def _write_budget(page: Page, errors: ErrorBudget) -> None:

@@ -8,12 +8,15 @@ import numpy as np
 
 from jaxir.imaging import Image, Signature
 from jaxir.plot._figure import figure_of, seen_from
+from jaxir.plot._polar import cut_of
 
 LINEAR = 1e-2  # of the largest value, within which a scale is linear
 
 
 def component_bars(image: Image) -> Any:
     """The radiant intensity of an image by component: a panel for each band, a bar for each component and their sum.
+
+    Whiskers are two standard errors.
 
     Args:
         image: of `render(..., components=...)`.
@@ -26,13 +29,15 @@ def component_bars(image: Image) -> Any:
         ValueError: an image without components.
     """
     value = np.asarray(image.component_intensity(), np.float64)
+    error = None if image.parts_error is None else np.asarray(image.component_error(), np.float64)
     names = [*image.components, "sum"]
     figure = figure_of(4.2 * len(image.bands) + 1.2, 0.32 * len(names) + 1.4)
     axes = figure.subplots(1, len(image.bands), squeeze=False, sharey=True)[0]
     for index, (axis, band) in enumerate(zip(axes, image.bands, strict=True)):
         own = np.append(value[:, index], value[:, index].sum())
         colours = ["C3" if x < 0 else "C0" for x in own[:-1]] + ["0.3"]
-        bars = axis.barh(np.arange(len(names)), own, color=colours)
+        spread = None if error is None else 2 * np.append(error[:, index], float(image.intensity_error()[index]))
+        bars = axis.barh(np.arange(len(names)), own, color=colours, xerr=spread, error_kw={"linewidth": 0.8})
         axis.bar_label(bars, [f"{x:.4g}" for x in own], padding=3, fontsize="x-small")
         axis.margins(x=0.25)
         axis.axvline(0, color="k", linewidth=0.6)
@@ -47,8 +52,9 @@ def component_bars(image: Image) -> Any:
 def component_signature(table: Signature) -> Any:
     """The radiant intensities of a signature by component: a panel for each band, over azimuth (or elevation).
 
-    Of a table with several elevations that nearest to 0 is shown. The scale is linear within a hundredth of the
-    largest value and logarithmic beyond, so that what is negative and what is small are seen, too.
+    Of a table with several elevations that nearest to 0 is shown, of several states the first. The scale is linear
+    within a hundredth of the largest value and logarithmic beyond, so that what is negative and what is small are seen,
+    too. Bands are two standard errors wide to each side.
 
     Args:
         table: of `signature(..., components=...)`.
@@ -62,25 +68,32 @@ def component_signature(table: Signature) -> Any:
     """
     if table.parts is None:
         raise ValueError('table.parts: got none, expected signature(..., components="sources")')
-    azimuth, elevation = np.asarray(table.azimuth), np.asarray(table.elevation)
-    upright = np.unique(azimuth).size == 1 and np.unique(elevation).size > 1
-    angle, other = (elevation, azimuth) if upright else (azimuth, elevation)
+    angle, other, upright = cut_of(table)
     cut = other[np.argmin(np.abs(other))]
-    chosen = np.flatnonzero(other == cut)
+    same = np.ones(angle.size, bool) if table.state is None else (table.state == table.state[0]).all(axis=1)
+    chosen = np.flatnonzero((other == cut) & np.asarray(same))
     chosen = chosen[np.argsort(angle[chosen], kind="stable")]
     figure = figure_of(8.0, 3.0 * len(table.bands) + 0.6)
+    from matplotlib.ticker import MultipleLocator
+
     axes = figure.subplots(len(table.bands), 1, squeeze=False, sharex=True)[:, 0]
     parts, whole = np.asarray(table.parts, np.float64), np.asarray(table.intensity, np.float64)
     for index, (axis, band) in enumerate(zip(axes, table.bands, strict=True)):
         axis.plot(angle[chosen], whole[chosen, index], "k-", linewidth=2, label="sum" if index == 0 else None)
         for k, name in enumerate(table.components):
             if parts[:, k].any():
-                label = name if index == 0 else None
-                axis.plot(angle[chosen], parts[chosen, k, index], marker=".", color=f"C{k % 10}", label=label)
-        axis.set_yscale("symlog", linthresh=max(LINEAR * float(np.abs(whole[:, index]).max()), 1e-30), linscale=1.2)
+                label, own, colour = name if index == 0 else None, parts[chosen, k, index], f"C{k % 10}"
+                axis.plot(angle[chosen], own, marker=".", color=colour, label=label)
+                if table.parts_error is not None:
+                    spread = 2 * np.asarray(table.parts_error, np.float64)[chosen, k, index]
+                    axis.fill_between(angle[chosen], own - spread, own + spread, color=colour, alpha=0.2, linewidth=0)
+        near = 10 ** np.ceil(np.log10(max(LINEAR * float(np.abs(whole[chosen, index]).max()), 1e-30)))
+        axis.set_yscale("symlog", linthresh=near, linscale=1.2)
         axis.axhline(0, color="k", linewidth=0.6)
         axis.set_ylabel(f"{band} [W/sr]")
         axis.grid(alpha=0.3)
+    if np.ptp(angle[chosen]) > 90:
+        axes[-1].xaxis.set_major_locator(MultipleLocator(45))
     axes[-1].set_xlabel(f"{'elevation' if upright else 'azimuth from the nose to the left wing'} [deg]")
     fixed = f"{'azimuth' if upright else 'elevation'} {cut:g}°"
     axes[0].set_title(f"radiant intensity by component, {fixed}", fontsize="medium")

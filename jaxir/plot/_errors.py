@@ -34,7 +34,7 @@ def error_bars(budgets: Mapping[str, ErrorBudget]) -> Any:
     scale = np.sqrt(np.sum(drawn**2, axis=1)) * [abs(float(one.intensity[index])) for _, one, index in bars]
     height = 100 * drawn**2 / np.where(scale > 0, scale, 1)[:, None]
     top = np.cumsum(height, axis=1)
-    figure = figure_of(2.5 + 0.5 * len(bars), 4.4)
+    figure = figure_of(3.6 + 0.5 * len(bars), 4.4)
     axis = figure.subplots()
     place = np.arange(len(bars))
     for k, part in enumerate(parts):
@@ -42,9 +42,10 @@ def error_bars(budgets: Mapping[str, ErrorBudget]) -> Any:
     for x, values, y in zip(place.tolist(), size, top[:, -1].tolist(), strict=True):
         missing = [(part, v) for part, v in zip(parts, values, strict=True) if not np.isfinite(v)]
         said = [f"{part}: {'not known' if np.isnan(v) else 'inf'}" for part, v in missing]
-        axis.annotate(", ".join(said), (x, y), rotation=90, ha="center", va="bottom", fontsize="x-small")
+        axis.annotate("\n".join(said), (x, y), rotation=90, ha="center", va="bottom", fontsize="x-small")
     labels = [f"{name}, {one.bands[index]}" if name else one.bands[index] for name, one, index in bars]
+    axis.set_ylim(0, 1.5 * float(top.max(initial=0)) or 1)  # with room for what is said over bars
     axis.set_xticks(place, labels, rotation=60, ha="right")
     axis.set_ylabel("error [% of the intensity]")
-    axis.legend()
+    figure.legend(loc="outside right upper", fontsize="small")
     return figure

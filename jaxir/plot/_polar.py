@@ -19,7 +19,8 @@ def polar_signature(table: Signature, *, scale: str = "log") -> Any:
 
     The angle is the azimuth, with a curve for every elevation, the nose on top and the left wing on the left, as seen
     from above; where the table has one azimuth only, it is the elevation, the nose on the right. Where the intensity is
-    negative, a contrast darker than its background, the curve is dotted.
+    negative, a contrast darker than its background, the curve is dotted. Of a table of several states
+    (`Signature.axes`) every band has a panel with a curve for each state, at the elevation nearest to 0.
 
     Args:
         table: the signature.
@@ -35,13 +36,53 @@ def polar_signature(table: Signature, *, scale: str = "log") -> Any:
     """
     if scale not in SCALES:
         raise ValueError(f"scale: got {scale!r}, expected {', '.join(SCALES)}")
-    figure = figure_of(6.4, 7.2)
-    axis = figure.subplots(subplot_kw={"projection": "polar"})
+    angle, other, upright = cut_of(table)
+    over = "elevation" if upright else "azimuth, nose up"
+    if table.state is None:
+        figure = figure_of(6.4, 7.2)
+        axes = [figure.subplots(subplot_kw={"projection": "polar"})]
+        cuts = np.unique(other).tolist()
+        name = "azimuth" if upright else "elevation"
+        curves = [
+            (0, k, other == cut, band if len(cuts) == 1 else f"{band}, {name} {cut:g}°", f"C{k}", style)
+            for k, band in enumerate(table.bands)
+            for cut, style in zip(cuts, ["-", "--", ":", "-."] * (len(cuts) // 4 + 1), strict=False)
+        ]
+    else:
+        figure = figure_of(5.2 * len(table.bands) + 1, 7.0)
+        axes = list(figure.subplots(1, len(table.bands), subplot_kw={"projection": "polar"}, squeeze=False)[0])
+        near = other == other[np.argmin(np.abs(other))]
+        states, which = np.unique(np.asarray(table.state), axis=0, return_inverse=True)
+        named = [", ".join(f"{x} {v:g}" for x, v in zip(table.axes, own, strict=True)) for own in states.tolist()]
+        curves = [
+            (k, k, near & (which.reshape(-1) == i), label if k == 0 else None, f"C{i % 10}", "-")
+            for k in range(len(table.bands))
+            for i, label in enumerate(named)
+        ]
+        for axis, band in zip(axes, table.bands, strict=True):
+            axis.set_title(band)
+    for place, axis in enumerate(axes):
+        _draw(axis, table, angle, [curve[1:] for curve in curves if curve[0] == place], upright, scale)
+    figure.suptitle(f"radiant intensity [{SCALES[scale]}] over {over}")
+    columns = min(3, len(table.bands)) if table.state is None else max(1, len(table.bands))
+    figure.legend(loc="outside lower center", ncols=columns, fontsize="small")
+    return figure
+
+
+def cut_of(table: Signature) -> tuple[np.ndarray, np.ndarray, bool]:
+    """The angle that runs [view], the other [view], and whether the first is the elevation."""
     azimuth, elevation = np.asarray(table.azimuth), np.asarray(table.elevation)
     upright = np.unique(azimuth).size == 1 and np.unique(elevation).size > 1
-    angle, other = (elevation, azimuth) if upright else (azimuth, elevation)
-    cuts = np.unique(other)
-    intensity, error = np.asarray(table.intensity, np.float64), np.asarray(table.standard_error, np.float64)
+    return (elevation, azimuth, True) if upright else (azimuth, elevation, False)
+
+
+def _draw(axis: Any, table: Signature, angle: np.ndarray, curves: list[tuple], upright: bool, scale: str) -> None:
+    """Draw curves, each of a band, some views, a label, a colour and a style, to one scale."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    held = [np.s_[chosen, place] for place, chosen, *_ in curves]
+    every, errors = np.asarray(table.intensity, np.float64), np.asarray(table.standard_error, np.float64)
+    intensity, error = (np.concatenate([values[one] for one in held]) for values in (every, errors))
     size = np.abs(intensity)
     rim = float(size.max()) if (size > 0).any() else 1.0
     low = np.where(size > ERRORS * error, size - ERRORS * error, size)
@@ -51,32 +92,34 @@ def polar_signature(table: Signature, *, scale: str = "log") -> Any:
         held = np.where(value > 0, value, np.nan)
         return 10 * np.log10(np.maximum(held, floor)) if scale == "dB" else held
 
-    for place, band in enumerate(table.bands):
-        for cut, style in zip(cuts.tolist(), ["-", "--", ":", "-."] * (cuts.size // 4 + 1), strict=False):
-            chosen = np.flatnonzero(other == cut)
-            chosen = chosen[np.argsort(angle[chosen], kind="stable")]
-            turn, value, spread = np.deg2rad(angle[chosen]), intensity[chosen, place], ERRORS * error[chosen, place]
-            if not upright and chosen.size > 2 and turn[-1] - turn[0] < 2 * np.pi:
-                gap = 2 * np.pi - (turn[-1] - turn[0])
-                if gap < 1.5 * np.diff(turn).max():  # the last step of a circle
-                    turn = np.append(turn, turn[0] + 2 * np.pi)
-                    value, spread = np.append(value, value[0]), np.append(spread, spread[0])
-            label = band if cuts.size == 1 else f"{band}, {'azimuth' if upright else 'elevation'} {cut:g}°"
-            colour = f"C{place}"
-            axis.plot(turn, radius(value), style, color=colour, label=label)
-            if (spread > 0).any():
-                ends = (np.maximum(np.abs(value) + sign * spread, floor) for sign in (-1, 1))
-                axis.fill_between(turn, *(radius(end) for end in ends), color=colour, alpha=0.2, linewidth=0)
-            if (value < 0).any():
-                axis.plot(turn, radius(-value), linestyle=(0, (1, 2)), color=colour, label=f"{label}, negative")
+    for place, some, label, colour, style in curves:
+        chosen = np.flatnonzero(some)
+        chosen = chosen[np.argsort(angle[chosen], kind="stable")]
+        turn, value, spread = np.deg2rad(angle[chosen]), every[chosen, place], ERRORS * errors[chosen, place]
+        if not upright and chosen.size > 2 and turn[-1] - turn[0] < 2 * np.pi:
+            gap = 2 * np.pi - (turn[-1] - turn[0])
+            if gap < 1.5 * np.diff(turn).max():  # the last step of a circle
+                turn = np.append(turn, turn[0] + 2 * np.pi)
+                value, spread = np.append(value, value[0]), np.append(spread, spread[0])
+        axis.plot(turn, radius(value), style, color=colour, label=label)
+        if (spread > 0).any():
+            ends = (np.maximum(np.abs(value) + sign * spread, floor) for sign in (-1, 1))
+            axis.fill_between(turn, *(radius(end) for end in ends), color=colour, alpha=0.2, linewidth=0)
+        if (value < 0).any():
+            below = None if label is None else f"{label}, negative"
+            axis.plot(turn, radius(-value), linestyle=(0, (1, 2)), color=colour, label=below)
     if not upright:
         axis.set_theta_zero_location("N")
     if scale == "log" and (intensity != 0).any():
         axis.set_rscale("log")
     if scale != "linear":
         axis.set_rlim(*(10 * np.log10(x) if scale == "dB" else x for x in (floor / 1.3, rim * 1.3)))
-    axis.set_rlabel_position(112.5)
+    if scale == "log":
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0,) if rim > 100 * floor else (1.0, 2.0, 5.0)))
+        axis.yaxis.set_minor_locator(NullLocator())
+        axis.yaxis.set_major_formatter("{x:g}")
+    axis.set_rlabel_position(105)
+    for label in axis.get_yticklabels():
+        label.set(fontsize="x-small", bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 0.5})
+    axis.set_thetagrids(range(0, 360, 30))
     axis.set_xlabel(" ")  # room between the last angle and the legend
-    figure.suptitle(f"radiant intensity [{SCALES[scale]}] over {'elevation' if upright else 'azimuth, nose up'}")
-    figure.legend(loc="outside lower center", ncols=min(3, len(table.bands)), fontsize="small")
-    return figure

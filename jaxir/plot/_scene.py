@@ -51,15 +51,16 @@ def scene_view(scene: Scene, cameras: Mapping[str, Camera] | None = None, colour
         corners.append(_draw_camera(axis, name, camera, reach))
     for source in scene.delta_sources:
         omega = np.asarray(source.toward(middle)[0], np.float64)
-        begin = centre + 1.4 * reach * omega
-        axis.quiver(*begin, *(-0.4 * reach * omega), color="goldenrod")
+        begin = centre + reach * omega
+        axis.quiver(*begin, *(-0.3 * reach * omega), color="goldenrod")
         axis.text(*begin, type(source).__name__, color="goldenrod")
         corners.append(begin[None])
     low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
-    half = max(float((high - low).max()) / 2, 1e-6)
-    for setter, value in zip((axis.set_xlim, axis.set_ylim, axis.set_zlim), (low + high) / 2, strict=True):
-        setter(value - half, value + half)
-    axis.set_box_aspect((1, 1, 1))
+    least = max(float((high - low).max()) / 4, 1e-6)  # of a box whose sides are to one scale
+    size = np.maximum(high - low, least)
+    for setter, value, side in zip((axis.set_xlim, axis.set_ylim, axis.set_zlim), (low + high) / 2, size, strict=True):
+        setter(value - side / 2, value + side / 2)
+    axis.set_box_aspect(size, zoom=1.05)
     axis.set_xlabel("x, to the nose [m]")
     axis.set_ylabel("y, to the left wing [m]")
     axis.set_zlabel("z, up [m]")
@@ -117,5 +118,5 @@ def _draw_camera(axis: Any, name: str, camera: Camera, reach: float) -> np.ndarr
     axis.plot(*frame.T, color="royalblue", linewidth=1)
     axis.quiver(*target, *(reach * w), color="royalblue")
     range_ = 1 / float(camera.inverse_range) if float(camera.inverse_range) > 0 else np.inf
-    axis.text(*(target + 1.05 * reach * w), f"{name or 'camera'}, {range_:g} m", color="royalblue")
+    axis.text(*frame[3], f"{name or 'camera'}, {range_:g} m", color="royalblue")
     return frame
