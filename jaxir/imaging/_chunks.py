@@ -29,6 +29,7 @@ from jaxir.transport import (
     share_outside,
     solution_checks,
     trace,
+    with_own_media,
     with_scattered,
 )
 
@@ -151,7 +152,8 @@ def first_pass(
     method = method.resolved(scene)
     lit, reach = _prepared(scene, nodes, camera, method)
     lit = enforce(lit, [eye_outside(reach), *solution_checks(lit)])
-    return Pass(lit, camera, key, as_number(0), strata, method, PARTS, components_of(scene, method, components))
+    split = with_own_media(scene, nodes, method, components_of(scene, method, components))
+    return Pass(lit, camera, key, as_number(0), strata, method, PARTS, split)
 
 
 @eqx.filter_jit

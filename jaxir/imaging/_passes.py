@@ -86,7 +86,7 @@ def render(
 
     Raises:
         ValueError: wrong shapes, values out of range, an eye inside the scene, tolerances inside jit, <= 0 or beyond
-            the precision in force, `samples` beside `pixel_rtol`; components with `DiscreteOrdinates` of particles.
+            the precision in force, `samples` beside `pixel_rtol`.
 
     Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
     geometry is seen as fixed.

@@ -22,7 +22,15 @@ from jaxir.imaging._devices import is_traced, over_items, shared_by
 from jaxir.imaging._left_out import Asked
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
-from jaxir.transport import Components, Method, components_of, graded_cameras, solution_checks, with_scattered
+from jaxir.transport import (
+    Components,
+    Method,
+    components_of,
+    graded_cameras,
+    solution_checks,
+    with_own_media,
+    with_scattered,
+)
 
 
 class Signature(eqx.Module):
@@ -180,7 +188,7 @@ def prepare_views(
     method = method.resolved(scene)
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away, method)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach), *solution_checks(lit)])
-    split = components_of(scene, method, components)
+    split = with_own_media(scene, nodes, method, components_of(scene, method, components))
     return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method, aspect, split)
 
 

@@ -10,7 +10,7 @@ import pytest
 import jaxir
 from jaxir.geometry import Rays
 from jaxir.medium import MediumSum
-from jaxir.transport import Components, components_of, evaluate_components
+from jaxir.transport import Components, components_of, evaluate_components, with_own_media
 from tests.scenes import box_mesh, gray_box
 
 NODES = jaxir.gray_nodes((jaxir.MWIR,))
@@ -106,13 +106,25 @@ def test_names_tell_one_of_a_kind_from_several():
     assert components_of(jaxir.Scene(SKIN), jaxir.Method(), None) is None
 
 
-@pytest.mark.parametrize(
-    ("kind", "method", "message"),
-    [
-        ("all", jaxir.Method(), "components: got 'all', expected sources or parts, or None"),
-        ("sources", jaxir.Method(scattering=jaxir.DiscreteOrdinates()), "components: got Method.scattering = Discrete"),
-    ],
-)
-def test_what_cannot_be_split_is_refused(kind, method, message):
-    with pytest.raises(ValueError, match=message):
-        components_of(jaxir.Scene(SKIN, CLOUD), method, kind)
+def test_light_that_was_solved_for_is_split_too():
+    """Each component has a solution of its own, and they add up to that of all light together."""
+    scene = jaxir.Scene(None, CLOUD, (SUN,), jaxir.UniformBackground(2.0))
+    method = jaxir.Method(scattering=jaxir.DiscreteOrdinates(4, 4, 1))
+    split = components_of(scene, method, "sources")
+    assert split.names == ("ParallelSource", "surroundings", "plume", "background")
+    first = jnp.zeros((3, 1)).at[0].set(1)  # all light in the first, none in the others: the same programs
+    together = dataclasses.replace(split, sources=jnp.broadcast_to(first, (3, 2)), plumes=first)
+
+    @jax.jit
+    def seen(scene, split):
+        paths = jaxir.trace(scene, rays(), method, None)
+        return evaluate_components(scene.on(NODES), paths, split)
+
+    whole, parts = (seen(scene, with_own_media(scene, NODES, method, each)) for each in (together, split))
+    np.testing.assert_allclose(parts.sum(axis=1), whole.sum(axis=1), rtol=2e-4)
+    assert np.all(np.asarray(parts)[np.argmax(whole[:, 0])] > 0) and np.all(whole[:, 1:3] == 0)
+
+
+def test_kinds_that_are_none_are_refused():
+    with pytest.raises(ValueError, match="components: got 'all', expected sources or parts, or None"):
+        components_of(jaxir.Scene(SKIN, CLOUD), jaxir.Method(), "all")

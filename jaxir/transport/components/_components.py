@@ -6,7 +6,8 @@ surrounds the scene and in the radiance of the air. So on the same paths
     L = sum_c L_c,
 
 with L_c the radiance while all but one of them are dark; the sum holds to rounding, whatever the number of samples.
-One program serves all components: they differ by factors alone.
+One program serves all components: they differ by factors alone, and by the light that `DiscreteOrdinates` find in the
+plumes, which is solved for once for each of them.
 """
 
 from __future__ import annotations
@@ -23,9 +24,12 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import placed
 from jaxir._fields import brightened
+from jaxir.medium import AbstractMedium
+from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene
+from jaxir.scene import on_nodes as scene_on_nodes
 from jaxir.scene.light import AbstractLight, backgrounds
-from jaxir.transport._evaluate import on_nodes, radiance_before_air
+from jaxir.transport._evaluate import on_nodes, radiance_before_air, with_scattered
 from jaxir.transport._method import Method
 from jaxir.transport._paths import Paths
 
@@ -42,6 +46,7 @@ class Components(eqx.Module):
         plumes: [component, plume].
         ambient: of `Method.ambient` [component].
         names: of these components, and then of what is seen behind the scene and of the air, where they are.
+        media: the plumes with the light of each component in them [component]; None where nothing is solved for.
     """
 
     skin: Float[Array, "component face"]
@@ -49,6 +54,12 @@ class Components(eqx.Module):
     plumes: Float[Array, "component plume"]
     ambient: Float[Array, " component"]
     names: tuple[str, ...] = eqx.field(static=True)
+    media: AbstractMedium | None = None
+
+    @property
+    def kept(self) -> tuple[Array, ...]:
+        """The factors of all components."""
+        return self.skin, self.sources, self.plumes, self.ambient
 
 
 def components_of(scene: Scene, method: Method, kind: str | None) -> Components | None:
@@ -65,16 +76,12 @@ def components_of(scene: Scene, method: Method, kind: str | None) -> Components 
         kind: "sources" or "parts".
 
     Raises:
-        ValueError: another kind, or `DiscreteOrdinates` in a scene with particles, which solve for all light together.
+        ValueError: another kind.
     """
     if kind is None:
         return None
     if kind not in KINDS:
         raise ValueError(f"components: got {kind!r}, expected {' or '.join(KINDS)}, or None")
-    if method.scattering is not None and scene.scatters:
-        raise ValueError(
-            "components: got Method.scattering = DiscreteOrdinates, which solves for all light together, expected None"
-        )
     lights: tuple[AbstractLight, ...] = scene.sources
     around = backgrounds(lights)
     shining = [i for i, light in enumerate(lights) if not any(light is one for one in around)]
@@ -122,18 +129,12 @@ def evaluate_components(lit: Lit, paths: Paths, components: Components) -> Float
 
     Differentiable as `evaluate`.
     """
-    held = (components.skin, components.sources, components.plumes, components.ambient)
-    dtype = lit.nodes.weight.dtype
 
-    def one(kept: tuple[Array, ...]) -> Array:
-        skin, sources, plumes, ambient = (factor.astype(dtype) for factor in kept)
-        method = on_nodes(paths.method, lit)
-        if method.ambient is not None:
-            method = dataclasses.replace(method, ambient=method.ambient * ambient)
-        dimmed = _shining(lit, skin, sources, plumes)
+    def one(own: tuple[tuple[Array, ...], AbstractMedium | None]) -> Array:
+        dimmed, method = _shining(lit, paths.method, *own)
         return lit.dimmed_by_air(radiance_before_air(dimmed, dataclasses.replace(paths, method=method)))
 
-    parts = [*lax.map(one, held)]
+    parts = [*lax.map(one, (components.kept, components.media))]
     if lit.scene.background is not None:
         parts.append(lit.dimmed_by_air(_background(lit, paths)))
     if lit.air is not None:
@@ -149,21 +150,53 @@ def empty_components(lit: Lit, components: Components, direction: Float[Array, "
     return dark if lit.air is None else dark.at[components.names.index(AIR)].set(lit.air.path_radiance)
 
 
-def _shining(lit: Lit, skin: Array, sources: Array, plumes: Array) -> Lit:
-    """The scene with factors on all that shines, its background not seen but lighting what it lights."""
+def with_own_media(scene: Scene, nodes: Nodes, method: Method, components: Components | None) -> Components | None:
+    """The components with the light of each in the plumes, where the method solves for that; else as they are.
+
+    Args:
+        scene: the scene.
+        nodes: the spectral axis.
+        method: how light is found.
+        components: of `components_of`.
+    """
+    if components is None or method.scattering is None or not scene.scatters:
+        return components
+    return dataclasses.replace(components, media=_own_media(scene, nodes, method, components))
+
+
+@eqx.filter_jit
+def _own_media(scene: Scene, nodes: Nodes, method: Method, components: Components) -> AbstractMedium:
+    lit = scene_on_nodes(scene, nodes)
+
+    def one(kept: tuple[Array, ...]) -> AbstractMedium:
+        dimmed, own = _shining(lit, method, kept, None)
+        found = with_scattered(dimmed, own).medium
+        assert found is not None
+        return found
+
+    return lax.map(one, components.kept)
+
+
+def _shining(lit: Lit, method: Method, kept: tuple[Array, ...], solved: AbstractMedium | None) -> tuple[Lit, Method]:
+    """Scene and method with factors on all that shines, its background not seen but lighting what it lights."""
     scene = lit.scene
+    skin, sources, plumes, ambient = (factor.astype(lit.nodes.weight.dtype) for factor in kept)
+    method = on_nodes(method, lit)
+    if method.ambient is not None:
+        method = dataclasses.replace(method, ambient=method.ambient * ambient)
     every = scene.sources if scene.background is None else (*scene.sources, scene.background)
     lights = tuple(brightened(light, sources[i]) for i, light in enumerate(every))
     order = [next(i for i, one in enumerate(scene.sources) if one is beam) for beam in scene.summed_beams]
     beams = tuple(beam * sources[i] for i, beam in zip(order, lit.beams, strict=True))
-    return Lit(
+    dimmed = Lit(
         scene=Scene(scene.skin, scene.plumes, lights, None, scene.atmosphere),
         nodes=lit.nodes,
         blackbody=None if lit.blackbody is None else lit.blackbody * skin[:, None],
-        medium=None if lit.medium is None else lit.medium.brightened(tuple(plumes)),
+        medium=lit.medium.brightened(tuple(plumes)) if lit.medium is not None and solved is None else solved,
         air=lit.air,
         beams=beams,
     )
+    return dimmed, method
 
 
 def _background(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:

@@ -163,7 +163,7 @@ class Scattered(AbstractMedium):
         return ()
 
     def brightened(self, factors: Any) -> AbstractMedium:
-        """See `AbstractMedium.brightened`: not of light that was solved for together."""
+        """See `AbstractMedium.brightened`: not of light that was solved for; what shines is dimmed before."""
         raise NotImplementedError("Scattered: it was solved for all light together")
 
     def less_forward(self, shares: Any) -> AbstractMedium:
