@@ -64,12 +64,14 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
 
 
 def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAtmosphere:
-    """Read the path between sensor and target from MODTRAN's tape7 (.tp7, .7sc) in wavenumbers, of one file or several.
+    """Read the path between sensor and target from MODTRAN's tape7 (.tp7, .7sc), of one file or several.
+
+    In wavenumbers (column `FREQ`) or, as scanned files may be, in um (column `WAVLEN MCRN`, radiance per um).
 
     A value belongs to the column under whose name it ends: blank columns occur, so position counts, not order. The
     path radiance is `PTH THRML` (which contains `THRML SCT`) plus `SOL SCAT` (which contains `SING SCAT`) of IEMSCT 1
-    and 2, in W cm-2 sr-1 / cm-1; IEMSCT 0 and 3 tell the transmittance only, which is warned of. Radiance from the
-    ground is not part of the path. Of several runs in a file the first is read.
+    and 2, in W cm-2 sr-1 / cm-1 or / um; IEMSCT 0 and 3 tell the transmittance only, which is warned of. Radiance from
+    the ground is not part of the path. Of several runs in a file the first is read.
 
     Several files are joined in the order of their wavenumbers, one for each band, say. Where they leave a gap wider
     than their steps, the table has none of it, and a band that reaches into the gap is refused.
@@ -81,9 +83,9 @@ def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAt
         The path, in ascending wavenumber; without path radiance where no file holds one.
 
     Raises:
-        ValueError: no header line whose first word is FREQ, no -9999 at the end, a line that is cut or not numeric,
-            wavenumbers that do not change in one direction, a transmittance outside [0, 1], a negative radiance;
-            names file and line. Files that overlap, or only some of which hold path radiances; names both.
+        ValueError: no header line that begins with FREQ or WAVLEN MCRN, no -9999 at the end, a line that is cut or not
+            numeric, wavenumbers that do not change in one direction, a transmittance outside [0, 1], a negative
+            radiance; names file and line. Files that overlap, or only some of which hold path radiances; names both.
     """
     files = [Path(path)] if isinstance(path, (str, os.PathLike)) else [Path(one) for one in path]
     if not files:
@@ -97,9 +99,10 @@ def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAt
         added = [name for name in _ADDED if lines.has(name)]
         table = _Table(file)
         for number, line in lines.rows():
-            values = {name: table.number(number, name, lines.cell(line, name)) for name in ("FREQ", total)}
+            wavenumber, width = lines.place(table, number, line)
+            passed = table.number(number, total, lines.cell(line, total))
             parts = [table.number(number, name, lines.cell(line, name), blank=True) for name in added]
-            table.add(number, values["FREQ"], values[total], _W_PER_CM2 * math.fsum(parts))
+            table.add(number, wavenumber, passed, width * _W_PER_CM2 * math.fsum(parts))
         pieces.append(_Piece(file, table.sorted(), bool(added)))
     return _joined(pieces)
 
@@ -107,8 +110,8 @@ def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAt
 def load_tape7_sun(path: str | os.PathLike) -> TabulatedSpectrum:
     """Read the Sun's irradiance at the end of a path from MODTRAN's tape7 of IEMSCT 3, for `Sun` and `ParallelSource`.
 
-    The column `SOL TR`, transmitted sunlight in W cm-2 / cm-1. It is that at the target already, so it goes with
-    `Sun(elevation, azimuth, irradiance, FixedPath(1.0))`.
+    The column `SOL TR`, transmitted sunlight in W cm-2 / cm-1 or / um. It is that at the target already, so it goes
+    with `Sun(elevation, azimuth, irradiance, FixedPath(1.0))`.
 
     Args:
         path: the file.
@@ -125,8 +128,9 @@ def load_tape7_sun(path: str | os.PathLike) -> TabulatedSpectrum:
         raise ValueError(f"{file}:{lines.header}: got no column {_SUNLIGHT}, expected MODTRAN's tape7 of IEMSCT 3")
     table = _Table(file)
     for number, line in lines.rows():
-        wavenumber, light = (table.number(number, name, lines.cell(line, name)) for name in ("FREQ", _SUNLIGHT))
-        table.add(number, wavenumber, 0.0, _W_PER_CM2 * light, what="irradiance")
+        wavenumber, width = lines.place(table, number, line)
+        light = table.number(number, _SUNLIGHT, lines.cell(line, _SUNLIGHT))
+        table.add(number, wavenumber, 0.0, width * _W_PER_CM2 * light, what="irradiance")
     wavenumber, _, light = table.sorted().T
     per_um = light * wavenumber**2 / 1e4  # d(wavenumber) = 1e4 / wavelength^2 d(wavelength)
     return TabulatedSpectrum(as_float(1e4 / wavenumber[::-1]), as_float(per_um[::-1]))
@@ -171,6 +175,7 @@ def _both(wavenumber: float) -> str:
 _SUNLIGHT = "SOL TR"
 _TRANSMITTANCE = ("TOT TRANS", "COMBIN", "TRANS")
 _ADDED = ("PTH THRML", "SOL SCAT")
+_WAVENUMBER, _WAVELENGTH = "FREQ", "WAVLEN MCRN"
 
 
 class _Tape7:
@@ -178,18 +183,29 @@ class _Tape7:
 
     def __init__(self, file: Path):
         self.file, self.lines = file, read_text(file, "latin-1").splitlines()
-        start = next((i for i, line in enumerate(self.lines) if line.split()[:1] == ["FREQ"]), None)
+        heads = {i: tuple(line.replace("_", " ").split()[:2]) for i, line in enumerate(self.lines)}
+        start = next((i for i, head in heads.items() if head[:1] in (("FREQ",), ("WAVLEN",))), None)
         if start is None:
-            raise ValueError(
-                f"{file}: got no header line that starts with FREQ, expected MODTRAN's tape7 in wavenumbers"
-            )
+            raise ValueError(f"{file}: got no header line that starts with FREQ, expected MODTRAN's tape7")
         self.header = start + 1  # counted from 1
+        self.axis = _WAVENUMBER if heads[start][0] == "FREQ" else _WAVELENGTH
+        if not self.has(self.axis):
+            raise ValueError(f"{file}:{start + 1}: got {' '.join(heads[start])}, expected FREQ or {_WAVELENGTH}")
         below = self.lines[start + 1 : start + 2]
         self.first = start + (2 if below and below[0].split()[:1] == ["CM-1"] else 1)
 
     def has(self, name: str) -> bool:
         """Whether there is a column of that name."""
         return self._end(name) is not None
+
+    def place(self, table: _Table, number: int, line: str) -> tuple[float, float]:
+        """Wavenumber [cm-1] of a line, and the width that its densities are per unit of, per cm-1."""
+        value = table.number(number, self.axis, self.cell(line, self.axis))
+        if self.axis == _WAVENUMBER:
+            return value, 1.0
+        if not value > 0:
+            raise ValueError(f"{self.file}:{number}: got wavelength {value}, expected > 0 um")
+        return 1e4 / value, value**2 / 1e4  # d(wavelength) = wavelength^2 / 1e4 d(wavenumber)
 
     def _end(self, name: str) -> int | None:
         """Where the column `name` ends; the words of a name are joined by a blank or an underscore."""

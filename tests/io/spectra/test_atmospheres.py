@@ -122,6 +122,19 @@ def test_sunlight_of_tape7_integrates_to_its_irradiance(tmp_path):
         load_tape7_sun(file)
 
 
+def test_scanned_files_in_um_are_those_in_wavenumbers(tmp_path):
+    """The header and the columns of .7sc in um; a radiance per um is wavelength^2 / 1e4 times as much per cm-1."""
+    head = " WAVLEN MCRN  TRANS  PTH THRML  THRML SCT  SURF EMIS   SOL SCAT  SING SCAT  GRND RFLT  DRCT RFLT  TOTAL RAD"
+    value = "1.0000E-06 0.0000E+00 0.0000E+00 1.0000E-06 0.0000E+00 0.0000E+00 0.0000E+00 2.0000E-06"
+    rows = [f"{3 + 0.01 * i:12.6f} {0.5:6.4f} {value.replace(' 0.0000E+00', '           ', 1)}" for i in range(200)]
+    (tmp_path / "a.7sc").write_text("\n".join(["run", "", head, *rows, " -9999.", ""]))
+    air = load_tape7(tmp_path / "a.7sc")
+    wavenumber = np.asarray(air.wavenumber)
+    np.testing.assert_allclose(1e4 / wavenumber[::-1], 3 + 0.01 * np.arange(200), rtol=1e-6)
+    np.testing.assert_allclose(air.spectral_path_radiance, 2e-2 * 1e4 / wavenumber**2, rtol=1e-6)
+    np.testing.assert_array_equal(air.transmittance, 0.5)
+
+
 def change(lines, number, old, new):
     lines[number - 1] = lines[number - 1].replace(old, new, 1)
     return lines
@@ -132,7 +145,12 @@ def change(lines, number, old, new):
     [
         (lambda lines: lines[:-2], "", "cut"),
         (lambda lines: lines[:10] + [lines[10][:40]] + lines[11:], ":11:", "characters"),
-        (lambda lines: [line.replace("FREQ", "WAVLEN") for line in lines], "", "FREQ"),
+        (lambda lines: [line.replace("FREQ", "NONE") for line in lines], "", "FREQ"),
+        (
+            lambda lines: [line.replace("FREQ", "WAVLEN (NM)") for line in lines],
+            ":4:",
+            "got WAVLEN",
+        ),
         (lambda lines: [line.replace("TOT TRANS", "ALL OF IT") for line in lines], ":4:", "TOT TRANS"),
         (lambda lines: change(lines, 9, "2010.00", "20l0.00"), ":9:", "number"),
         (lambda lines: change(lines, 9, "2010.00", "1900.00"), ":9:", "monotonic"),
