@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies import _study, measurements, mitsuba_peer, torch
+from studies import _study, gallery, measurements, mitsuba_peer, torch
 
 ROOT = Path(__file__).parents[1]
 STUDIES = sorted(path for path in (ROOT / "studies").glob("*.py") if "\n    study(main" in path.read_text())
@@ -30,6 +30,12 @@ def test_a_study_asks_a_question_and_returns_its_answer(path):
     assert isinstance(tree.body[-1], ast.If) and len(tree.body[-1].body) == 1
     printed = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id in ("plt", "csv")]
     assert not printed  # tables and charts go through the frame
+
+
+def test_the_gallery_is_up_to_date():
+    assert gallery.PAGE.read_text(encoding="utf-8") == gallery.gallery(), "python -m studies.gallery"
+    with pytest.raises(ValueError, match="nothing.png: got no study of that name"):
+        gallery.maker("nothing")
 
 
 def _parser():
