@@ -64,7 +64,7 @@ class Effort:
 
 
 FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10)
-QUICK = Effort(step=90.0, view=80, pixels=100, samples=2, bins=(500.0, 2, 2), depth=4)
+QUICK = Effort(step=15.0, view=48, pixels=100, samples=2, bins=(500.0, 2, 2), depth=4)
 
 
 def exhaust(given: Conditions) -> tuple[jaxir.NarrowBandGas, float]:
@@ -226,7 +226,7 @@ def intensities_around(tables: Tables, step: float) -> Any:
             panel.set_rscale("log")
             panel.yaxis.set_minor_formatter(NullFormatter())  # labels of less than decades lie over one another
             panel.set_title(f"from the {place}, {axis} [W/sr]")
-    panels[0, 0].legend(loc="lower left", bbox_to_anchor=(-0.35, -0.15), fontsize="small")
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize="small")
     return figure
 
 

@@ -63,7 +63,7 @@ def radiance_panels(
     together = len(images) > 1 and len(set(views)) == 1  # said once
     wide, head = 4.1 if limits == "shared" else 3.5, 0.35 if together else 0.5  # of a panel without its bar
     high = min(wide * highest, 4.8) + head
-    figure = figure_of(4.8 * len(bands) + 0.4, (high + 0.15) * len(images) + (1.5 if limits == "shared" else 1.1))
+    figure = figure_of(4.8 * len(bands) + 0.4, (high + 0.15) * len(images) + (1.2 if limits == "shared" else 1.1))
     figure.set_layout_engine("constrained", h_pad=0.03)
     axes = figure.subplots(len(images), len(bands), squeeze=False, sharex=together, sharey=together)
     values = [values_of(image, quantity) for image in images.values()]

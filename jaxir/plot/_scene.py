@@ -45,8 +45,8 @@ def scene_view(scene: Scene, cameras: Mapping[str, Camera] | None = None, colour
     corners = [points]
     if scene.skin is not None:
         _draw_skin(figure, axis, scene.skin, colour)
-    for plume in scene.plumes:
-        _draw_plume(axis, plume)
+    for index, plume in enumerate(scene.plumes):
+        _draw_plume(axis, plume, f"plume {index}, " if len(scene.plumes) > 1 else "")
     for name, camera in (cameras or {}).items():
         corners.append(_draw_camera(axis, name, camera, reach))
     for source in scene.delta_sources:
@@ -103,10 +103,10 @@ def _draw_skin(figure: Any, axis: Any, skin: Skin, colour: str) -> None:
     )
 
 
-def _draw_plume(axis: Any, plume: AbstractPlume) -> None:
+def _draw_plume(axis: Any, plume: AbstractPlume, name: str) -> None:
     for line in plume.outlines():
         axis.plot(*line.T, color="firebrick", linewidth=0.8)
-    axis.plot([], [], [], color="firebrick", label=plume.described())
+    axis.plot([], [], [], color="firebrick", label=f"{name}{plume.described()}")
 
 
 def _draw_camera(axis: Any, name: str, camera: Camera, reach: float) -> np.ndarray:
