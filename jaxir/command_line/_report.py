@@ -178,8 +178,12 @@ def assumptions(read: SceneFile) -> list[str]:
         name = type(scene.atmosphere).__name__
         rest = ", without haze, clouds and scattered sunlight" if name == "StandardAtmosphere" else ""
         found.append(f"The air between target and sensor is a {name}{rest}, one path for the whole image.")
-    chosen = "as given" if isinstance(read.bands, Nodes) else "as many as the scene needs within 2 %"
-    found.append(f"Spectral nodes: {chosen}. What the models of gas and air err is not in the error budget.")
+    chosen = (
+        "as given"
+        if isinstance(read.bands, Nodes)
+        else "the fewest that probing rays need within 2 %, if the finest do"
+    )
+    found.append(f"Spectral nodes: {chosen}; the budget has their error, and not that of the models of gas and air.")
     return found
 
 

@@ -118,5 +118,5 @@ def _draw_camera(axis: Any, name: str, camera: Camera, reach: float) -> np.ndarr
     axis.plot(*frame.T, color="royalblue", linewidth=1)
     axis.quiver(*target, *(reach * w), color="royalblue")
     range_ = 1 / float(camera.inverse_range) if float(camera.inverse_range) > 0 else np.inf
-    axis.text(*frame[3], f"{name or 'camera'}, {range_:g} m", color="royalblue")
+    axis.text(*frame[3], f"{name or 'camera'}, {range_:g} m", color="royalblue", ha="right", va="bottom")
     return frame
