@@ -103,8 +103,8 @@ def test_a_spectrum_integrates_to_the_band():
 def test_error_bars_are_as_high_as_the_total():
     one, zero = jnp.asarray([[1.0, 2.0]]), jnp.zeros((1, 2))
     intensity = jnp.asarray([[100.0, 50.0]])
-    known = jaxir.ErrorBudget(intensity, one, 3 * one, zero, one, zero, ("MWIR", "LWIR"))
-    open_ = jaxir.ErrorBudget(intensity, one, None, jnp.asarray([[jnp.inf, 0.0]]), None, zero, ("MWIR", "LWIR"))
+    known = jaxir.ErrorBudget(intensity, one, 3 * one, zero, zero, one, zero, ("MWIR", "LWIR"))
+    open_ = jaxir.ErrorBudget(intensity, one, None, zero, jnp.asarray([[jnp.inf, 0.0]]), None, zero, ("MWIR", "LWIR"))
     axis = plot.error_bars({"a": known, "b": open_}).axes[0]
     assert [text.get_text() for text in axis.get_xticklabels()] == ["a, MWIR", "a, LWIR", "b, MWIR", "b, LWIR"]
     height = np.sum([[bar.get_height() for bar in part] for part in axis.containers], axis=0)

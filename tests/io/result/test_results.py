@@ -81,7 +81,7 @@ def test_errors_are_written_part_by_part(image, tmp_path):
     save_image(tmp_path / "image.npz", image, errors=errors)
     save_netcdf(tmp_path / "image.nc", image, errors=errors)
     with np.load(tmp_path / "image.npz") as held, xarray.open_dataset(tmp_path / "image.nc", engine="scipy") as data:
-        for name in ("intensity", "sampling", "spectral", "truncation", "bounces", "outside", "total"):
+        for name in ("intensity", "sampling", "spectral", "quadrature", "truncation", "bounces", "outside", "total"):
             column = name if name == "intensity" else f"{name}_error"
             np.testing.assert_array_equal(held[column], getattr(errors, name))
             np.testing.assert_array_equal(data[column], getattr(errors, name))
@@ -92,7 +92,7 @@ def test_errors_are_written_part_by_part(image, tmp_path):
     save_netcdf(tmp_path / "table.nc", table, errors=errors)
     header, first, _ = (tmp_path / "table.csv").read_text().splitlines()
     columns = header.split(",")
-    assert columns[3:5] == ["LWIR_standard_error_W_per_sr", "LWIR_truncation_error_W_per_sr"]
+    assert columns[3:5] == ["LWIR_standard_error_W_per_sr", "LWIR_quadrature_error_W_per_sr"]
     assert columns[-1] == "LWIR_total_error_W_per_sr" and not [name for name in columns if "spectral" in name]
     assert float(first.split(",")[-1]) == pytest.approx(float(errors.total[0, 0]), rel=1e-6)
     with xarray.open_dataset(tmp_path / "table.nc", engine="scipy") as data:
