@@ -119,7 +119,7 @@ class ErrorBudget(eqx.Module):
 def budget(
     intensity: Float[Array, "*view band"],
     sampling: Float[Array, "*view band"],
-    spectral: Float[Array, "*view band"] | None,
+    spectral: Float[Array, "*each band"] | None,
     truncation: Float[Array, "*view band"],
     outside: Float[Array, " band"] | None,
     bands: tuple[str, ...],

@@ -62,7 +62,7 @@ class Signature(eqx.Module):
     standard_error: Float[Array, "view band"]
     bands: tuple[str, ...] = eqx.field(static=True)
     truncation: Float[Array, "view band"]
-    spectral: Float[Array, "*view band"] | None = None
+    spectral: Float[Array, "*each band"] | None = None
     asked: Asked | None = None
     components: tuple[str, ...] = eqx.field(static=True, default=())
     parts: Float[Array, "view component band"] | None = None
