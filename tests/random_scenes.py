@@ -14,6 +14,8 @@ their ends, and enter one compiled program, forty scenes at a time. The laws, al
     modes       forward mode = reverse mode
 
     python -m tests.random_scenes --scenes 100000 --seed 1
+
+with JAX_ENABLE_X64=1 in double precision.
 """
 
 from __future__ import annotations
@@ -654,9 +656,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=np.inf)
     parser.add_argument("--only", nargs="*", default=list(STRUCTURES))
-    parser.add_argument("--x64", action="store_true")
     given = parser.parse_args()
-    jax.config.update("jax_enable_x64", given.x64)
     begin = time.monotonic()
     each = -(-given.scenes // len(given.only) // BATCH)
     for name in given.only:
