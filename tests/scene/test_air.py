@@ -152,7 +152,9 @@ def test_bad_input_is_refused(nodes):
     assert failing(StandardAtmosphere(*GROUND).checks()) == set()
     assert failing(StandardAtmosphere(0.0, 10e3, 9e3).checks()) == {"StandardAtmosphere.distance"}
     assert failing(StandardAtmosphere(0.0, 0.0, 50e3).checks()) == {"StandardAtmosphere: altitude along the path"}
-    assert failing(StandardAtmosphere(0.0, 40e3, 50e3).checks()) == {"StandardAtmosphere: altitude along the path"}
+    assert failing(StandardAtmosphere(0.0, 40e3, 50e3, extrapolate=True).checks()) == {
+        "StandardAtmosphere: altitude along the path"
+    }
     gap = us_standard_1976()
     broken = Profile(gap.altitude, gap.temperature.at[3].set(jnp.nan), gap.pressure, gap.h2o, gap.o3)
     assert failing(broken.checks()) == {"Profile.temperature"}
