@@ -105,7 +105,9 @@ def by_default(given: Torch) -> np.ndarray:
     air = jaxir.StandardAtmosphere(0.0, 0.0, ROOM, Profile(level, *state))
     seen = np.asarray(air.in_front_of(nodes, jnp.asarray(given.temperature.max())).transmittance, float)
     total = np.zeros(nodes.count)
-    gas = jaxir.NarrowBandGas(jnp.full(given.radius.size, lines.ATMOSPHERE), co2=given.co2, co=given.co)
+    gas = jaxir.NarrowBandGas(
+        jnp.full(given.radius.size, lines.ATMOSPHERE), co2=given.co2, co=given.co, extrapolate=True
+    )
     kappa = np.asarray(gas.absorption(nodes, jnp.asarray(given.temperature)), float)
     for i in crossed(given.radius.size):
         total += (
