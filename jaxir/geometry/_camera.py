@@ -95,6 +95,10 @@ class Camera(eqx.Module):
         local = (point - self.target[(None,) * (point.ndim - 1)]) @ self.frame.T
         return local[..., :2] / (1 - local[..., 2:] * self.inverse_range)
 
+    def half_size(self) -> Float[Array, " 2"]:
+        """Half the image's width and height on the screen [2] [m]."""
+        return jnp.stack([self.shape[1] * self.pixel[0], self.shape[0] * self.pixel[1]]) / 2
+
     def _raster(self, tile: Int[Array, " tile"]) -> tuple[Int[Array, "tile pixel"], Int[Array, "tile pixel"]]:
         """Row and column of every pixel of tiles, beyond the image's edge too."""
         columns = jnp.int32(self.tiles[1])

@@ -134,7 +134,7 @@ def left_out(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Flo
         screen = camera.project(point)
         rays = camera.bundle(screen, lit.scene.start(camera)).rays()
         paths = trace(lit.scene, rays, method, for_paths)
-        half = jnp.stack([camera.shape[1] * camera.pixel[0], camera.shape[0] * camera.pixel[1]]) / 2
+        half = camera.half_size()
         seen = (paths.face == face) & jnp.all(jnp.abs(screen) <= half[None], axis=1) & (facing[face] > 0)
         height = (point - camera.target[None]) @ camera.frame[2]
         slant = 1 + camera.inverse_range**2 * jnp.sum(screen * screen, axis=1)

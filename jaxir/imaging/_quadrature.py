@@ -48,7 +48,7 @@ def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera) -> Float[Array
     grid = (np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), axis=-1).reshape(-1, 2) + 0.5) / SIDE
 
     def one(camera: Camera) -> Array:
-        half = jnp.stack([camera.shape[1] * camera.pixel[0], camera.shape[0] * camera.pixel[1]]) / 2
+        half = camera.half_size()
         total = jnp.zeros(nodes.response.shape[0], camera.pixel.dtype)
         for plume, finer in refined(scene):
             corners = camera.project(plume.extent())

@@ -67,7 +67,7 @@ def share_outside(lit: Lit, camera: Camera) -> Float[Array, " band"]:
     """
     corners, radiance, ends, _, intensity = _shining(lit)
     camera = lax.stop_gradient(camera)
-    half = jnp.stack([camera.shape[1] * camera.pixel[0], camera.shape[0] * camera.pixel[1]]) / 2 * (1 + 1e-3)
+    half = camera.half_size() * (1 + 1e-3)
 
     def beyond(point: Float[Array, "part point 3"]) -> Float[Array, " part"]:
         out = jnp.any(jnp.abs(camera.project(point)) > half[None, None], axis=-1)
