@@ -9,6 +9,7 @@ entry are enforced together: at once with the field, the value and the place whe
 
 from __future__ import annotations
 
+import functools
 import sys
 import warnings
 from collections.abc import Iterable
@@ -21,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 T = TypeVar("T")
+as_one_program = functools.partial(jax.jit, inline=True)  # of arrays alone: one compilation, and no trace inside others
 _BETWEEN = ("jaxir", "jax", "equinox", "jaxtyping", "beartype")  # packages between a user's line and a check
 
 

@@ -10,10 +10,12 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxir._arrays import as_one_program
 from jaxir._math import dot, safe_sqrt
 from jaxir.geometry._sampling import polygon_vector
 
 
+@as_one_program
 def disc_vector(
     point: Float[Array, " 3"], centre: Float[Array, " 3"], normal: Float[Array, " 3"], radius: Float[Array, ""]
 ) -> Float[Array, " 3"]:
@@ -70,6 +72,7 @@ def disc_above(
     return dot(centre - point, receiver) >= radius * sine
 
 
+@as_one_program
 def polygon_form_factor(
     point: Float[Array, " 3"], receiver: Float[Array, " 3"], corners: Float[Array, "corner 3"]
 ) -> Float[Array, ""]:

@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Key, UInt32
 
-from jaxir._arrays import float_dtype
+from jaxir._arrays import as_one_program, float_dtype
 from jaxir._math import dot, frame_around, safe_sqrt
 
 # Directions -----------------------------------------------------------------------------------------------------------
@@ -124,6 +124,7 @@ def polygon_vector(corners: Float[Array, "corner 3"]) -> Float[Array, " 3"]:
     return jnp.sum(jnp.cross(spokes[:-1], spokes[1:]), axis=0) / 2
 
 
+@as_one_program
 def sample_polygon(u: Float[Array, " 2"], corners: Float[Array, "corner 3"]) -> Float[Array, " 3"]:
     """A point uniform in area on a convex plane polygon [3] [m].
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, as_one_program
 from jaxir._math import safe_sqrt
 from jaxir.geometry import FLAT, AxisView, Rays, inside_cone, view_from_axis
 from jaxir.medium._jet_layers import GAUSS
@@ -65,6 +65,7 @@ class JetShape(eqx.Module):
         fraction = jnp.minimum(self.core_end / z, 1) * (1 - eta * safe_sqrt(eta))
         return jnp.where(inside, fraction, 0)
 
+    @as_one_program
     def at(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Mixture fraction at points [*batch, 3] [m]."""
         lead = (None,) * (points.ndim - 1)

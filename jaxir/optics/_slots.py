@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, as_one_program
 from jaxir.optics._tables import overlap_matrix
 from jaxir.optics.spectrum import Nodes
 
@@ -71,6 +71,7 @@ def tabled(nodes: Nodes) -> Bool[Array, " node"]:
     return (nodes.lower > edges[0] * (1 - grain)) & (nodes.upper < edges[-1] * (1 + grain))
 
 
+@as_one_program
 def hot_cross_sections(nodes: Nodes) -> Float[Array, "temperature pressure node"]:
     """ln of the cross-section of hot CO2 at the first quantile of nodes inside the tables [m2]; others get some value.
 

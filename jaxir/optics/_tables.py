@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxir._arrays import as_one_program
+
 
 def rows(name: str) -> list[dict[str, str]]:
     """The rows of an embedded table by column name; lines with # are its provenance."""
@@ -106,6 +108,7 @@ def cold_path() -> ColdPath:
     )
 
 
+@as_one_program
 def overlap_matrix(
     lower: Float[Array, " node"], upper: Float[Array, " node"], edges: Float[Array, " edge"]
 ) -> Float[Array, "node row"]:
@@ -115,6 +118,7 @@ def overlap_matrix(
     return jnp.maximum(high - low, 0) / (upper - lower)[:, None]
 
 
+@as_one_program
 def sample_weights(
     lower: Float[Array, " node"], upper: Float[Array, " node"], wavenumber: Float[Array, " sample"]
 ) -> Float[Array, "node sample"]:

@@ -45,9 +45,9 @@ def test_a_good_fit_says_so_and_an_outlier_is_named():
 def test_few_outliers_suggest_a_robust_loss():
     measured = looked_at(slab(1000.0, 1.0), THREE)
     wrong = with_value(measured, lambda v: v * np.array([[1.0, 1.0, 1.4]]))
-    among = [measured] * 12 + [wrong]
+    among = [measured] * 6 + [wrong]
     squares = fit(slab(800.0, 1.0), [TEMPERATURE], among)
-    assert "try robust=3" in str(squares) and "measurement 12, row 0, LWIR" in str(squares)
+    assert "try robust=3" in str(squares) and "measurement 6, row 0, LWIR" in str(squares)
     robust = fit(slab(800.0, 1.0), [TEMPERATURE], among, robust=3.0)
     assert "try robust=3" not in str(robust)
     assert abs(float(robust.uncertainty.value[0]) - 1.25) < abs(float(squares.uncertainty.value[0]) - 1.25) + 1e-4

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, enforce, fraction, increasing, non_negative, positive
+from jaxir._arrays import Check, as_float, as_one_program, enforce, fraction, increasing, non_negative, positive
 from jaxir._fields import Physical, quantity
 from jaxir._plausible import KELVIN, PASCAL, usual
 from jaxir.optics._tables import rows
@@ -53,6 +53,7 @@ class Profile(Physical):
             PASCAL("Profile: highest pressure", self.pressure, np.max),
         ]
 
+    @as_one_program
     def at(self, altitude: Float[Array, "*batch"]) -> AirState:
         """The state at `altitude` [m] inside the levels. Differentiable in altitude and in the profile."""
         level = jnp.searchsorted(self.altitude, altitude, side="right").astype(jnp.int32) - 1

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, as_one_program
 from jaxir.optics._slots import ColdCells, cell_shares, co2_slots, cold_cells, tabled
 from jaxir.optics._tables import COLD_PATH_EDGES, COLD_PATH_SPECIES, cold_path, overlap_matrix
 from jaxir.optics.air._profile import Profile
@@ -71,6 +71,7 @@ def slant_range(
     return free / (along + jnp.sqrt(along**2 + free))
 
 
+@as_one_program
 def altitude_along(
     sensor_altitude: Float[Array, ""],
     target_altitude: Float[Array, ""],
@@ -84,6 +85,7 @@ def altitude_along(
     return excess / (EARTH_RADIUS + jnp.sqrt(EARTH_RADIUS**2 + excess))
 
 
+@as_one_program
 def path_air(
     profile: Profile,
     sensor_altitude: Float[Array, ""],
@@ -133,11 +135,13 @@ def path_air(
     )
 
 
+@as_one_program
 def path_transmittance(air: PathAir, nodes: Nodes) -> Float[Array, " node"]:
     """Mean transmittance of the whole path in each node's bin [node]. Differentiable in `air`."""
     return _share(nodes) @ jnp.exp(-air.depth[-1])
 
 
+@as_one_program
 def path_emission(air: PathAir, nodes: Nodes) -> Float[Array, " node"]:
     """Radiance that the air of the path sends into the sensor [node] [W m-2 sr-1]. Differentiable in `air`."""
     before = jnp.concatenate([jnp.zeros_like(air.depth[:1]), air.depth[:-1]])

@@ -12,7 +12,7 @@ import numpy as np
 from jax.lax import Precision
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, fraction, known, on_host, positive, require
+from jaxir._arrays import Check, as_float, as_one_program, fraction, known, on_host, positive, require
 from jaxir._fields import flag, quantity
 from jaxir._plausible import PASCAL, reach
 from jaxir.optics.gas._gas import (
@@ -125,6 +125,7 @@ class CrossSections(eqx.Module):
         )
         return {"temperature": -_KELVIN / inverse, "pressure": np.exp(log_pressure), "mole_fraction": amount}
 
+    @as_one_program
     def at(
         self, temperature: Float[Array, "*cell"], pressure: Float[Array, "..."], mole_fraction: Float[Array, "..."]
     ) -> Float[Array, "*cell node"]:

@@ -22,7 +22,7 @@ import numpy as np
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, as_one_program
 
 _PROBIT = (-3.1, 5.6)  # Phi^-1 of g = 0.001 ... 1 - 1e-8
 _LOG_B = (-12.0, 9.5)
@@ -86,6 +86,7 @@ def _unscale(t: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     return limits[0] + (limits[1] - limits[0]) * (t + 1) / 2
 
 
+@as_one_program
 def quantile_series(g: Float[Array, " node"]) -> Float[Array, "term node"]:
     """Newton coefficients of ln y as a function of ln b, for quantiles `g` inside (0.001, 1 - 1e-8)."""
     scaled = (2 * ndtri(g) - (_PROBIT[0] + _PROBIT[1])) / (_PROBIT[1] - _PROBIT[0])
@@ -95,6 +96,7 @@ def quantile_series(g: Float[Array, " node"]) -> Float[Array, "term node"]:
     return jnp.matmul(table, polynomial, precision=jax.lax.Precision.HIGHEST)
 
 
+@as_one_program
 def log_quantile(series: Float[Array, "term node"], log_b: Float[Array, "*cell node"]) -> Float[Array, "*cell node"]:
     """ln y at ln b, the same in every cell but for b.
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import Check, as_float, fraction, positive, require
+from jaxir._arrays import Check, as_float, as_one_program, fraction, positive, require
 from jaxir._fields import flag, quantity
 from jaxir._plausible import PASCAL, doubt, reach
 from jaxir.optics._slots import co2_slots, hot_cross_sections, tabled
@@ -210,6 +210,7 @@ class _SpeciesTable(eqx.Module):
 
 
 @jax.checkpoint  # the gradient recomputes what has a cell and a node axis instead of keeping it
+@as_one_program
 def _species_absorption(
     table: _SpeciesTable,
     temperature: Float[Array, "*cell"],

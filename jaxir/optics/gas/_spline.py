@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, as_one_program
 
 
 def spline_matrix(levels: np.ndarray) -> np.ndarray:
@@ -25,6 +25,7 @@ def spline_matrix(levels: np.ndarray) -> np.ndarray:
     return np.linalg.inv(np.concatenate([powers, np.maximum(u[:, None] - u[2:-2], 0) ** 3], axis=1))
 
 
+@as_one_program
 def spline_weights(
     levels: Float[Array, " level"], matrix: Float[Array, "level level"], place: Float[Array, "*cell"]
 ) -> Float[Array, "*cell level"]:

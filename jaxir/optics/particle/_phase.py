@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, increasing, non_negative, positive, require_shape
+from jaxir._arrays import Check, as_float, as_one_program, increasing, non_negative, positive, require_shape
 from jaxir._fields import Physical, quantity, spectral
 from jaxir._math import gauss_legendre, safe_divide
 
@@ -27,10 +27,12 @@ class AbstractPhase(Physical):
     """A phase function [sr-1] with its sampler."""
 
     @abc.abstractmethod
+    @as_one_program
     def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
         """The phase function [node | 1] [sr-1]. Differentiable in parameters and cosine."""
 
     @abc.abstractmethod
+    @as_one_program
     def sample(self, u: Float[Array, ""]) -> Float[Array, ""]:
         """A cosine from a uniform number in [0, 1). Not to be differentiated."""
 
@@ -55,10 +57,12 @@ class AbstractPhase(Physical):
 class Isotropic(AbstractPhase):
     """Equal scattering into all directions: 1 / 4 pi."""
 
+    @as_one_program
     def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
         """See `AbstractPhase.eval`."""
         return jnp.full((1,), 1 / (4 * jnp.pi), cosine.dtype)
 
+    @as_one_program
     def sample(self, u: Float[Array, ""]) -> Float[Array, ""]:
         """See `AbstractPhase.sample`."""
         return 2 * u - 1
@@ -85,6 +89,7 @@ class HenyeyGreenstein(AbstractPhase):
 
     asymmetry: Float[Array, " node"] = spectral("1", _inside)
 
+    @as_one_program
     def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
         """See `AbstractPhase.eval`."""
         a = self.asymmetry
@@ -92,6 +97,7 @@ class HenyeyGreenstein(AbstractPhase):
         square = (1 - jnp.abs(a)) ** 2 + 2 * jnp.abs(a) * (1 - jnp.sign(a) * cosine)
         return (1 - a) * (1 + a) / (4 * jnp.pi * square * jnp.sqrt(square))
 
+    @as_one_program
     def sample(self, u: Float[Array, ""]) -> Float[Array, ""]:
         """See `AbstractPhase.sample`: one node is drawn, then its distribution function is inverted."""
         count = self.asymmetry.shape[0]
@@ -137,11 +143,13 @@ class TabulatedPhase(AbstractPhase):
         whole = 2 * jnp.pi * jnp.sum(_pieces(self.cosine, given), axis=-1, keepdims=True)
         self.value = safe_divide(given, whole)  # 0 is refused by `relations`
 
+    @as_one_program
     def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
         """See `AbstractPhase.eval`."""
         below, share = self._place(cosine)
         return self.value[:, below] * (1 - share) + self.value[:, below + 1] * share
 
+    @as_one_program
     def sample(self, u: Float[Array, ""]) -> Float[Array, ""]:
         """See `AbstractPhase.sample`: the distribution function, quadratic between samples, is inverted exactly."""
         mean = jnp.mean(self.value, axis=0)

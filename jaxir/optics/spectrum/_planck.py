@@ -20,7 +20,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, as_one_program
 from jaxir._math import gauss_legendre
 from jaxir.optics.spectrum._band import SECOND_RADIATION, Nodes, wavelength_to_wavenumber
 
@@ -59,6 +59,7 @@ def spectral_radiance_wavelength(
     return spectral_radiance(wavenumber, temperature) * wavenumber / wavelength
 
 
+@as_one_program
 def band_radiance(temperature: Float[Array, "*batch"], nodes: Nodes) -> Float[Array, "*batch node"]:
     """Blackbody radiance integrated over each node's bin; the equation is at the head of this file.
 
@@ -82,6 +83,7 @@ def band_radiance(temperature: Float[Array, "*batch"], nodes: Nodes) -> Float[Ar
     return _bin_radiance(hot, lead, rest, jnp.broadcast_to(width, lead.shape))
 
 
+@as_one_program
 def blackbody_fraction(wavelength_temperature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """Fraction F(0 -> lambda T) of the blackbody exitance below a wavelength.
 
@@ -144,6 +146,7 @@ def _split(value: Array) -> tuple[Array, Array]:
     return high, value - high
 
 
+@as_one_program
 def brightness_temperature(radiance: Float[Array, "*batch band"], nodes: Nodes) -> Float[Array, "*batch band"]:
     """Temperature of the blackbody with the same in-band radiance, by Newton's method in ln B(1/T).
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float, non_negative, positive
+from jaxir._arrays import as_float, as_one_program, non_negative, positive
 from jaxir._math import dot, frame_around, gauss_legendre, safe_divide, safe_sqrt
 from jaxir.optics.surface._brdf import (
     AbstractBrdf,
@@ -63,6 +63,7 @@ class RoughConductor(AbstractBrdf):
         """See `AbstractBrdf.diffuse`."""
         return False
 
+    @as_one_program
     def eval(
         self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
     ) -> Float[Array, " node"]:
@@ -78,6 +79,7 @@ class RoughConductor(AbstractBrdf):
         lost = _loss(cos_i, self.roughness) * _loss(cos_o, self.roughness) / _mean_loss(self.roughness)
         return jnp.where(above, single + self._lost_reflectance() * lost / jnp.pi, 0)
 
+    @as_one_program
     def sample(
         self, u: Float[Array, " 2"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
     ) -> Float[Array, " 3"]:
@@ -94,6 +96,7 @@ class RoughConductor(AbstractBrdf):
         mirrored = (2 * dot(o, half) * half - o) @ frame
         return jnp.where(diffuse, cosine_direction(again, up), mirrored)
 
+    @as_one_program
     def pdf(
         self, omega_i: Float[Array, " 3"], omega_o: Float[Array, " 3"], normal: Float[Array, " 3"]
     ) -> Float[Array, ""]:
@@ -108,10 +111,12 @@ class RoughConductor(AbstractBrdf):
         facet = jnp.where((half[2] > 0) & (dot(o, half) > 0), facet, 0)
         return share * cosine_density(omega_i, up) + (1 - share) * facet
 
+    @as_one_program
     def directional_reflectance(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
         """See `AbstractBrdf.directional_reflectance`; as the emissivity, and never below 0."""
         return self._over_facets(cos_o, conductor_reflectance, self._lost_reflectance())
 
+    @as_one_program
     def directional_emissivity(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
         """See `AbstractBrdf.directional_emissivity`.
 

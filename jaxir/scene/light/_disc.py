@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, positive, unit_vector
+from jaxir._arrays import Check, as_one_program, positive, unit_vector
 from jaxir._fields import SpectralLight, light, quantity
 from jaxir._math import dot
 from jaxir.geometry import disc_above, disc_vector, pdf_disc, pdf_from_area, sample_disc
@@ -36,6 +36,7 @@ class DiscSource(AbstractAreaSource):
         """See `AbstractLight.on`."""
         return spread(self, nodes)
 
+    @as_one_program
     def sample(self, u: Float[Array, " 2"], point: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Arrival:
         """See `AbstractExtendedLight.sample`; uniform in area."""
         omega_i, distance = towards(sample_disc(u, self.centre, self.normal, self.radius) - point)
@@ -43,6 +44,7 @@ class DiscSource(AbstractAreaSource):
         pdf = pdf_from_area(pdf_disc(self.radius), omega_i, distance, self.normal)
         return Arrival(omega_i, distance, jnp.where(lit, pdf, 0))
 
+    @as_one_program
     def meet(self, omega_i: Float[Array, " 3"], point: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Arrival:
         """See `AbstractExtendedLight.meet`."""
         distance, ahead = to_plane(point, omega_i, self.centre, self.normal)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check
+from jaxir._arrays import Check, as_one_program
 from jaxir._fields import SpectralLight, light, quantity
 from jaxir._math import dot
 from jaxir.geometry import pdf_from_area, pdf_polygon, polygon_form_factor, polygon_vector, sample_polygon
@@ -41,6 +41,7 @@ class PolygonSource(AbstractAreaSource):
         """See `AbstractLight.on`."""
         return spread(self, nodes)
 
+    @as_one_program
     def sample(self, u: Float[Array, " 2"], point: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Arrival:
         """See `AbstractExtendedLight.sample`; uniform in area."""
         omega_i, distance = towards(sample_polygon(u, self.corners) - point)
@@ -48,6 +49,7 @@ class PolygonSource(AbstractAreaSource):
         pdf = pdf_from_area(pdf_polygon(self.corners), omega_i, distance, own)
         return Arrival(omega_i, distance, jnp.where(dot(omega_i, own) < 0, pdf, 0))
 
+    @as_one_program
     def meet(self, omega_i: Float[Array, " 3"], point: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Arrival:
         """See `AbstractExtendedLight.meet`."""
         own = self.normal

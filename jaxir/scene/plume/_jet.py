@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import Check, as_float, positive
+from jaxir._arrays import Check, as_float, as_one_program, positive
 from jaxir._fields import count, quantity, require_part
 from jaxir._math import frame_around
 from jaxir._plausible import KELVIN, doubt, usual
@@ -98,6 +98,7 @@ class JetPlume(AbstractPlume):
         """Temperature of gas with a mixture fraction [*batch] [K]."""
         return self.ambient_temperature + fraction * (self.exit_temperature - self.ambient_temperature)
 
+    @as_one_program
     def state(self, points: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Temperature [*batch] [K] and mixture fraction [*batch] at points [*batch, 3] [m].
 
