@@ -13,7 +13,7 @@ import pytest
 
 import jaxir
 from jaxir.io.result import _sweep as sweep_module
-from jaxir.io.result import save_afsim, save_signature, sweep
+from jaxir.io.result import save_afsim, save_netcdf, save_signature, sweep
 from tests.io.result.sweeping import SHAPE, asked
 from tests.scenes import plate
 
@@ -144,6 +144,16 @@ def test_five_axes_come_back_from_files(five_axes, tmp_path):
     held = np.array([[float(cell) for cell in row.split(",")] for row in rows])
     np.testing.assert_allclose(held[:, :3], table.state, rtol=1e-6)
     np.testing.assert_allclose(held[:, [5, 6]], np.stack([table.intensity, table.standard_error])[..., 0].T, rtol=1e-6)
+    xarray = pytest.importorskip("xarray")
+    save_netcdf(tmp_path / "t.nc", table)
+    with xarray.open_dataset(tmp_path / "t.nc", engine="scipy") as data:
+        for index, name in enumerate(table.axes):
+            assert data.coords[name].dims == ("view",)
+            np.testing.assert_array_equal(data[name], table.state[:, index])
+        np.testing.assert_array_equal(data.component_intensity, table.parts)
+        np.testing.assert_array_equal(data.component_error, table.parts_error)
+        one = data.isel(view=(data.mach == data.mach.max()) & (data.throttle == 1.0))  # as a reader selects
+        assert one.intensity.shape == (8, 1) and float(one.altitude.min()) == 3000.0
     states = re.split(r"   state (\S+)\n", (tmp_path / "t.txt").read_text())
     tables = dict(zip(states[1::2], states[2::2], strict=True))
     assert list(tables)[:3] == ["default", "mach_0.6_altitude_3000_throttle_0.5", "mach_0.6_altitude_3000_throttle_1"]
@@ -157,6 +167,7 @@ def test_axes_that_are_none_are_refused(tmp_path):
     views = [(0.0, 0.0)]
     for scene, over, message in (
         (flight, {"mach": []}, r"over: got 'mach' of shape \(0,\), expected a name with a list of values"),
+        (flight, {"azimuth": [1.0]}, "over: got 'azimuth', expected a name that tables do not have"),
         (flight(0.5, 0.0, 0.0), {"mach": [1.0]}, "over: got mach with a Scene, expected axes by name"),
         (lambda altitude: flight(0.5, altitude, 0.0), {"altitude": [3e4]}, "altitude=30000: altitude: got 30000"),
     ):
