@@ -35,7 +35,14 @@ from typing import Any
 
 HERE = Path(__file__).parent
 FIGURES = HERE / "figures"
-EXTRAS = {"matplotlib": "studies", "miepython": "studies", "tifffile": "studies", "numba": "bench", "embreex": "peers"}
+EXTRAS = {
+    "matplotlib": "studies",
+    "miepython": "studies",
+    "tifffile": "studies",
+    "numba": "bench",
+    "embreex": "peers",
+    "pyvista": "cfd",
+}
 
 
 @dataclass(frozen=True)

@@ -83,15 +83,17 @@ def methods(count: int, even: bool) -> dict[str, jaxir.Method]:
     return {"brdf": jaxir.Method(jaxir.DirectSampling(0, count)), "both": jaxir.Method(both)}
 
 
-def measure(pixels: int) -> tuple[list[dict], float]:
-    """One row per method and number of rays; the error of the closed form in float32."""
+def measure(pixels: int) -> tuple[list[dict], float, dict[tuple[str, int], np.ndarray]]:
+    """One row per method and number of rays; the error of the closed form in float32; the images of Table 1."""
     x = (np.arange(pixels) + 0.5) / pixels - 0.5
     points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
-    world, expected, rows = scene(), closed_form(points), []
+    world, expected, rows, images = scene(), closed_form(points), [], {}
     cases = [(n, False) for n in RAYS] + [(n, True) for n in EVEN]
     for count, even in tqdm(cases, desc="skin_convergence", delay=5, leave=False):
         for name, method in methods(count, even).items():
             got, seconds = image(world, points, method, jax.random.key(count))
+            if name in PAPER:
+                images[name, count] = got.reshape(pixels, pixels)
             rows.append(
                 {
                     "method": name,
@@ -103,7 +105,8 @@ def measure(pixels: int) -> tuple[list[dict], float]:
                 }
             )
     exact, _ = image(world, points, jaxir.Method(jaxir.ClosedForm()), jax.random.key(0))
-    return rows, rrmse(exact, expected)
+    images["closed form", 0] = exact.reshape(pixels, pixels)
+    return rows, rrmse(exact, expected), images
 
 
 def chart(rows: list[dict]) -> Any:
@@ -126,15 +129,31 @@ def chart(rows: list[dict]) -> Any:
     return figure
 
 
+def table_of_images(images: dict[tuple[str, int], np.ndarray]) -> Any:
+    """Table 1: the plate by samples of the brdf alone and with samples of the light, and in closed form."""
+    names = {"brdf": "brdf", "both": "brdf and light"}
+    figure, axes = subplots(len(names), len(RAYS) + 1, figsize=(15, 5.2))
+    last = images["closed form", 0]
+    for row, (key, name) in enumerate(names.items()):
+        drawn = [(f"{name}, {count}", images[key, count]) for count in RAYS] + [("closed form", last)]
+        for axis, (title, value) in zip(axes[row], drawn, strict=True):
+            shown = axis.imshow(value.T, origin="lower", cmap="inferno", vmin=0.0, vmax=last.max())
+            axis.set_title(title, fontsize=10)
+            axis.set_axis_off()
+    figure.colorbar(shown, ax=axes, label="reflected radiance [W m$^{-2}$ sr$^{-1}$]", shrink=0.8)
+    return figure
+
+
 def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pixels", type=int, default=64, help="rows and columns (%(default)s)")
 
 
 def main(run: Run) -> str:
     chosen = run.options
-    rows, exact = measure(chosen.pixels)
+    rows, exact, images = measure(chosen.pixels)
     run.table(rows)
     run.chart(chart(rows), dpi=90)
+    run.chart(table_of_images(images), "skin_convergence_images", dpi=90)
     print("rays     brdf sampling [%]: paper  8 bit  float     both [%]: paper  8 bit  float")
     for count in RAYS:
         b, m = (next(r for r in rows if r["method"] == name and r["rays"] == count) for name in ("brdf", "both"))

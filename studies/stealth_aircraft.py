@@ -64,7 +64,7 @@ class Effort:
 
 
 FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10)
-QUICK = Effort(step=15.0, view=48, pixels=100, samples=2, bins=(500.0, 2, 2), depth=4)
+QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6)
 
 
 def exhaust(given: Conditions) -> tuple[jaxir.NarrowBandGas, float]:
@@ -188,15 +188,19 @@ def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, folder: Path | 
     return tables
 
 
+def camera_at(place: str, pixels: int) -> jaxir.Camera:
+    """Fig. 15's view with so many rows: from below behind on the ground, from the side in the air."""
+    _, distance, resolution = PLACES[place]
+    azimuth, elevation = (120.0, -60.0) if place == "ground" else (90.0, 0.0)
+    pixel = resolution * FULL.pixels / pixels
+    return jaxir.perspective_camera(azimuth, elevation, distance, pixel, (pixels, pixels), target=(-4.0, 0.0, 0.0))
+
+
 def images(made: Scenes, nodes: jaxir.Nodes, effort: Effort) -> dict[str, jaxir.Image]:
-    """Fig. 15: from below behind on the ground, from the side in the air."""
+    """Fig. 15."""
     found = {}
-    for place, (_, distance, resolution) in PLACES.items():
-        azimuth, elevation = (120.0, -60.0) if place == "ground" else (90.0, 0.0)
-        pixel = resolution * 500 / effort.pixels
-        camera = jaxir.perspective_camera(
-            azimuth, elevation, distance, pixel, (effort.pixels, effort.pixels), target=(-4.0, 0.0, 0.0)
-        )
+    for place in PLACES:
+        camera = camera_at(place, effort.pixels)
         for name, scene in made.items():
             seen = eqx.tree_at(lambda s: s.atmosphere, scene, path_of(place), is_leaf=lambda x: x is None)
             found[f"{name}, {place}"] = jaxir.render(
@@ -207,6 +211,17 @@ def images(made: Scenes, nodes: jaxir.Nodes, effort: Effort) -> dict[str, jaxir.
                 method=jaxir.Method(bounces=effort.depth, orders=effort.depth),
             )
     return found
+
+
+def image_panels(seen: dict[str, jaxir.Image]) -> Any:
+    """Fig. 15, without what is empty above and below."""
+    figure = plot.radiance_panels(seen)
+    wide, high = figure.get_size_inches()
+    figure.set_size_inches(wide, 0.7 * high)
+    for axis in figure.axes:
+        if axis.images:
+            axis.set_ylim(-6.0, 10.0)
+    return figure
 
 
 def intensities_around(tables: Tables, step: float) -> Any:
@@ -269,6 +284,30 @@ def cooler_exhaust(scene: jaxir.Scene, nodes: jaxir.Nodes, skin: np.ndarray) -> 
     return said
 
 
+def surroundings(scene: jaxir.Scene, nodes: jaxir.Nodes) -> list[str]:
+    """What the plain plume sends to the side in vacuum, in the air of Table 3 as printed and of 10 km altitude."""
+    said = []
+    assert isinstance(scene.plume, jaxir.JetPlume)
+    for name, pressure, kelvin in (
+        ("here: at 10 km, and 255 K once it rests on the skin", 26500.0, aircraft.AMBIENT),
+        ("Table 3 as printed", 30000.0, 255.0),
+    ):
+        air = jnp.asarray(pressure), jnp.asarray(kelvin)
+        jet = eqx.tree_at(lambda p: (p.gas.pressure, p.ambient_temperature), scene.plume, air)
+        value = np.asarray(jaxir.signature(jaxir.Scene(None, jet), [[90.0, 0.0]], nodes, shape=(32, 128)).intensity)[0]
+        values = ", ".join(f"{band.name} {one:.4g}" for band, one in zip(BANDS, value, strict=True))
+        said.append(f"plume in air of {pressure:.0f} Pa and {kelvin:.0f} K ({name}): {values} W/sr")
+    return said
+
+
+def covered(mesh: jaxir.Mesh) -> dict[str, int]:
+    """Pixels of the paper's images, 500 by 500, that see the skin from each place (Fig. 13 has 35,000)."""
+    return {
+        place: int(np.sum(np.asarray(jaxir.visible_faces(mesh, camera_at(place, FULL.pixels))) >= 0))
+        for place in PLACES
+    }
+
+
 def conclusions(tables: Tables, side: dict[str, Side]) -> list[str]:
     """The paper's conclusions, each with what was found here."""
     axes = sorted({axis for _, _, axis in tables})
@@ -321,7 +360,7 @@ def conclusions(tables: Tables, side: dict[str, Side]) -> list[str]:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--quick", action="store_true", help="few aspects and pixels: minutes instead of hours")
+    parser.add_argument("--quick", action="store_true", help="few aspects and nodes: two minutes instead of hours")
     parser.add_argument("--mesh", help="your own mesh (STL, OBJ, PLY, GLB), nose along +x, z up")
     parser.add_argument("--unit", choices=list(METRES), help="length unit of --mesh (required with it)")
     parser.add_argument("--temperature", type=float, default=255.0, help="skin temperature of --mesh [K] (%(default)s)")
@@ -361,11 +400,12 @@ def main(run: Run) -> str:
         stem = out / name.replace(", ", "_")
         save_image(stem.with_suffix(".npz"), image)
         save_tiff(stem.with_suffix(".tif"), image)
-    run.chart(plot.radiance_panels(seen), dpi=110, bbox_inches="tight")
+    run.chart(image_panels(seen), dpi=110, bbox_inches="tight")
     after_images = time.perf_counter()
     side = from_the_side(made, nodes, effort.depth)
     said = conclusions(tables, side)
     whole, every = sum(line.startswith("holds:") for line in said), len(said)
+    said += ["what the air does:", *surroundings(made["plain"], nodes)]
     said += ["what decides it:", *cooler_exhaust(made["plain"], nodes, side["plain"].skin)]
 
     worst = {
@@ -381,6 +421,7 @@ def main(run: Run) -> str:
         "share of the intensity beyond the last order, at most": {
             " ".join(key): float(np.max(np.asarray(table.truncation))) for key, table in tables.items()
         },
+        "pixels of 500 x 500 that see the skin": covered(mesh),
         "conclusions": said,
     }
     run.record(report)
