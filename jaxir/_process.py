@@ -3,8 +3,10 @@
 - `xla_cpu_small_while_loop_byte_threshold`: a nest of while loops is turned into native code only when it is small; the
   default limit keeps the search of rays out, which then runs 4 to 10 times slower with the same results.
 - `xla_cpu_disable_new_fusion_emitters`: the newer emitters of fused kernels make an MLIR context for each, a third or
-  more of the time that a program of many kernels takes to compile; the older ones make kernels of the same speed
-  (README's image: compiled in 7.9 instead of 10.9 s of one core, a jet's gradient in 9 instead of 16 s).
+  more of the time that a program of many kernels takes to compile; the older ones make kernels of the same speed in
+  most scenes (README's image: compiled in 7.9 instead of 10.9 s of one core, a jet's gradient in 9 instead of 16 s),
+  and slower ones where a plume's cells are crossed in large numbers (480,000 cells, 120,000 rays: 144 instead of 123 ms
+  an image). Who renders such a scene for hours names the option in `XLA_FLAGS` and turns it off.
 
 Options can only be set for a whole process, before JAX starts a backend. So `import jaxir` sets them, unless a backend
 already runs, `XLA_FLAGS` already names them, or the environment variable `JAXIR_COMPILER_OPTIONS` is 0. A compiler that
