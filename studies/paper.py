@@ -6,7 +6,6 @@ python -m studies.paper
 import csv
 import json
 from collections.abc import Callable, Iterable
-from pathlib import Path
 
 from studies._study import FIGURES, HERE
 
@@ -104,22 +103,18 @@ def equations() -> str:
 def plates() -> str:
     """Figs. 6 and 7."""
     paper = {"Fig. 6": 0.048, "Fig. 7": 0.023}
+    cases: dict[tuple[str, str], list[dict[str, str]]] = {}
+    for row in table("plate"):
+        cases.setdefault((row["figure"], row["case"]), []).append(row)
     rows = []
-    for case in dict.fromkeys((row["figure"], row["case"]) for row in table("plate")):
-        own = [row for row in table("plate") if (row["figure"], row["case"]) == case]
-
-        def worst(by: str, own: list[dict[str, str]] = own) -> str:
-            return f"{max(abs(float(row[by]) / float(row['closed_form_W_per_sr']) - 1) for row in own) * 100:.1g}"
-
-        rows.append(
-            (
-                *case,
-                f"{float(own[0]['closed_form_W_per_sr']):.5g}",
-                worst("by_rays_W_per_sr"),
-                worst("by_faces_W_per_sr"),
-                paper[case[0].split(",")[0]],
-            )
+    for (figure, case), own in cases.items():
+        true, rays, faces = (
+            [float(row[f"{name}_W_per_sr"]) for row in own] for name in ("closed_form", "by_rays", "by_faces")
         )
+        worst = (
+            f"{100 * max(abs(a / b - 1) for a, b in zip(found, true, strict=True)):.1g}" for found in (rays, faces)
+        )
+        rows.append((figure, case, f"{true[0]:.5g}", *worst, paper[figure.split(",")[0]]))
     head = ("figure", "plate of 1 m²", "W/sr at 0°", "worst error by rays, 0–85° [%]", "by faces [%]", "paper [%]")
     return (
         "## Figs. 6 and 7: emitting and sunlit plates\n\n"
@@ -155,10 +150,10 @@ def disc() -> str:
 
 def boxes() -> str:
     """Figs. 9 and 10."""
-    rows = []
+    rows, every = [], table("plume_boxes")
     for box in ("thick", "thin"):
         for estimator in ("point", "line", "combined", "exact sum"):
-            own = [row for row in table("plume_boxes") if row["box"] == box and row["estimator"] == estimator]
+            own = [row for row in every if row["box"] == box and row["estimator"] == estimator]
             cells: list[object] = [box, estimator]
             for count in (1, 10, 100):
                 errors = [float(row["error_percent"]) for row in own if int(row["rays"]) == count]
@@ -236,10 +231,6 @@ def page() -> str:
     return "\n".join([HEAD, equations(), *(part() for part in PARTS)])
 
 
-def main(path: Path = PAGE) -> None:
-    path.write_text(page(), encoding="utf-8")
-    print(f"wrote {path}")
-
-
 if __name__ == "__main__":
-    main()
+    PAGE.write_text(page(), encoding="utf-8")
+    print(f"wrote {PAGE}")

@@ -271,12 +271,17 @@ def from_the_side(made: Scenes, nodes: jaxir.Nodes, depth: int) -> dict[str, Sid
     return found
 
 
+def plume_aside(jet: jaxir.JetPlume, nodes: jaxir.Nodes) -> np.ndarray:
+    """What a plume alone sends to the side in vacuum [band] [W sr-1]."""
+    return np.asarray(jaxir.signature(jaxir.Scene(None, jet), [[90.0, 0.0]], nodes, shape=(32, 128)).intensity)[0]
+
+
 def cooler_exhaust(scene: jaxir.Scene, nodes: jaxir.Nodes, skin: np.ndarray) -> list[str]:
     """How the bands of the plain aircraft rank from the side in vacuum if the exhaust were cooler."""
     said = []
     for kelvin in (600.0, 800.0, 1000.0, 1400.0, 2000.0):
         jet = eqx.tree_at(lambda plume: plume.exit_temperature, scene.plume, jnp.asarray(kelvin))
-        plume = np.asarray(jaxir.signature(jaxir.Scene(None, jet), [[90.0, 0.0]], nodes, shape=(32, 128)).intensity)[0]
+        plume = plume_aside(jet, nodes)
         whole = skin + plume
         order = " > ".join(BANDS[i].name for i in np.argsort(-whole))
         values = ", ".join(f"{band.name} {value:.3g}" for band, value in zip(BANDS, whole, strict=True))
@@ -294,7 +299,7 @@ def surroundings(scene: jaxir.Scene, nodes: jaxir.Nodes) -> list[str]:
     ):
         air = jnp.asarray(pressure), jnp.asarray(kelvin)
         jet = eqx.tree_at(lambda p: (p.gas.pressure, p.ambient_temperature), scene.plume, air)
-        value = np.asarray(jaxir.signature(jaxir.Scene(None, jet), [[90.0, 0.0]], nodes, shape=(32, 128)).intensity)[0]
+        value = plume_aside(jet, nodes)
         values = ", ".join(f"{band.name} {one:.4g}" for band, one in zip(BANDS, value, strict=True))
         said.append(f"plume in air of {pressure:.0f} Pa and {kelvin:.0f} K ({name}): {values} W/sr")
     return said

@@ -99,6 +99,10 @@ class Camera(eqx.Module):
         """Half the image's width and height on the screen [2] [m]."""
         return jnp.stack([self.shape[1] * self.pixel[0], self.shape[0] * self.pixel[1]]) / 2
 
+    def slant(self, screen: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+        """1 + tan^2 of the angle from the axis to points of the screen [*batch, 2] [m]; 1 in an orthographic one."""
+        return 1 + self.inverse_range**2 * jnp.sum(screen * screen, axis=-1)
+
     def _raster(self, tile: Int[Array, " tile"]) -> tuple[Int[Array, "tile pixel"], Int[Array, "tile pixel"]]:
         """Row and column of every pixel of tiles, beyond the image's edge too."""
         columns = jnp.int32(self.tiles[1])

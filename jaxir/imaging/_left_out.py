@@ -137,7 +137,7 @@ def left_out(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Flo
         half = camera.half_size()
         seen = (paths.face == face) & jnp.all(jnp.abs(screen) <= half[None], axis=1) & (facing[face] > 0)
         height = (point - camera.target[None]) @ camera.frame[2]
-        slant = 1 + camera.inverse_range**2 * jnp.sum(screen * screen, axis=1)
+        slant = camera.slant(screen)
         turned = jnp.abs(jnp.sum(vector[face] * _to_eye(camera, point), axis=1)) / jnp.where(seen, facing[face], 1)
         weight = jnp.where(seen, sums[-1] * turned / ((1 - height * camera.inverse_range) ** 3 * slant**2), 0)
         found = nodes.in_band(bounced(lit, paths, method.bounces + 1 - FURTHER)) * weight[None, :, None]

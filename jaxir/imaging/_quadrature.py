@@ -57,7 +57,7 @@ def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera) -> Float[Array
             rays = camera.bundle(screen, lit.scene.start(camera)).rays()
             paths = trace(lit.scene, rays, Method(direct=None, orders=0))
             change = evaluate(on_nodes(finer, nodes), paths) - evaluate(lit, paths)
-            slant = 1 + camera.inverse_range**2 * jnp.sum(screen * screen, axis=1)
+            slant = camera.slant(screen)
             mean = nodes.in_band(change / slant[:, None] ** 2).mean(axis=0)
             total = total + jnp.abs(mean) * jnp.prod(high - low)
         return SLOW * total

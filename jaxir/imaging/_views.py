@@ -32,6 +32,9 @@ from jaxir.transport import (
     with_scattered,
 )
 
+# Names that tables and their files have, so that no axis of `Signature.axes` may bear them.
+COLUMNS = ("view", "azimuth", "elevation", "band", "component", "intensity", "standard_error")
+
 
 class Signature(eqx.Module):
     """Radiant intensity over aspects.

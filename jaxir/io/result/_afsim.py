@@ -49,11 +49,12 @@ def save_afsim(path: str | os.PathLike, signature: Signature, name: str, conditi
     if not re.fullmatch(r"\w[\w-]*", name):
         raise ValueError(f"name: got {name!r}, expected letters, digits, _ and -")
     aspect = np.stack([signature.azimuth, signature.elevation], axis=1)
-    for rows in _states(signature).values():
+    states = _states(signature)
+    for rows in states.values():
         require_full_table(aspect[rows], signature.bands)
     lines = [f"# {label}: {' '.join(str(value).split())}" for label, value in (conditions or {}).items()]
     lines.append(f"infrared_signature {name}")
-    for state, rows in _states(signature).items():
+    for state, rows in states.items():
         azimuth, elevation, table = _full_table(signature, rows)
         lines.append(f"   state {state}")
         for place, band in enumerate(signature.bands):

@@ -19,6 +19,7 @@ from jaxtyping import Array, Key
 
 from jaxir._arrays import as_float, key_or_default
 from jaxir.imaging import (
+    COLUMNS,
     Signature,
     Views,
     is_traced,
@@ -39,7 +40,6 @@ CONDITIONS = "conditions.json"
 _VALUES = ("intensity", "standard_error", "truncation")
 _SPLIT = ("component_intensity", "component_error")
 _DAMAGED = "got a damaged file, expected a finished view; delete it to repeat it"
-TAKEN = ("view", "azimuth", "elevation", "band", "component", "intensity", "standard_error")  # by columns of tables
 
 
 def sweep(
@@ -137,8 +137,8 @@ def _over(folder: Path, scene: Any, views: Any, bands: Any, over: Mapping[str, A
     """The tables of all combinations of some axes, one below the other."""
     axes = {name: np.atleast_1d(np.asarray(values, np.float64)) for name, values in over.items()}
     for name, values in axes.items():
-        if name in TAKEN:
-            raise ValueError(f"over: got {name!r}, expected a name that tables do not have: not {', '.join(TAKEN)}")
+        if name in COLUMNS:
+            raise ValueError(f"over: got {name!r}, expected a name that tables do not have: not {', '.join(COLUMNS)}")
         if values.ndim != 1 or values.size == 0 or not name.isidentifier():
             raise ValueError(f"over: got {name!r} of shape {values.shape}, expected a name with a list of values")
     if not axes or isinstance(scene, Scene) or not callable(scene):

@@ -209,8 +209,8 @@ class _SpeciesTable(eqx.Module):
             self.log_lined = hot_cross_sections(nodes) + np.log(_LOSCHMIDT / 100)
 
 
-@jax.checkpoint  # the gradient recomputes what has a cell and a node axis instead of keeping it
 @as_one_program
+@jax.checkpoint  # the gradient recomputes what has a cell and a node axis instead of keeping it
 def _species_absorption(
     table: _SpeciesTable,
     temperature: Float[Array, "*cell"],

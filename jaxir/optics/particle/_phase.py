@@ -27,12 +27,10 @@ class AbstractPhase(Physical):
     """A phase function [sr-1] with its sampler."""
 
     @abc.abstractmethod
-    @as_one_program
     def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
         """The phase function [node | 1] [sr-1]. Differentiable in parameters and cosine."""
 
     @abc.abstractmethod
-    @as_one_program
     def sample(self, u: Float[Array, ""]) -> Float[Array, ""]:
         """A cosine from a uniform number in [0, 1). Not to be differentiated."""
 
