@@ -12,7 +12,11 @@ import drjit
 import mitsuba
 
 mitsuba.set_variant("llvm_ad_mono")
-drjit.eval(drjit.arange(mitsuba.Float, 4) + 1)
+film = {"type": "hdrfilm", "width": 4, "height": 4}
+shape = {"type": "rectangle", "emitter": {"type": "area", "radiance": 1.0}}
+sensor = {"type": "perspective", "film": film}
+scene = {"type": "scene", "integrator": {"type": "path"}, "sensor": sensor, "shape": shape}
+drjit.eval(mitsuba.render(mitsuba.load_dict(scene), spp=4))
 """
 
 
@@ -20,7 +24,8 @@ drjit.eval(drjit.arange(mitsuba.Float, 4) + 1)
 def trouble(probe=PROBE):
     """Why Mitsuba does not run here, in a line; "" where it does.
 
-    Asked in a process of its own: with an old LLVM it ends the process instead of raising an error.
+    Asked in a process of its own, by a small image: with an old LLVM it ends the process instead of raising an error,
+    and sums alone do not show that.
     """
     if importlib.util.find_spec("mitsuba") is None:
         return 'it is not installed (pip install "jaxir[peers]")'

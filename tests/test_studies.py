@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies import _study, computed_flow, gallery, measurements, mitsuba_peer, paper, torch
+from studies import _study, computed_flow, gallery, measurements, mitsuba_peer, paper, torch, validation_page
 
 ROOT = Path(__file__).parents[1]
 STUDIES = sorted(path for path in (ROOT / "studies").glob("*.py") if "\n    study(main" in path.read_text())
@@ -40,6 +40,12 @@ def test_the_gallery_is_up_to_date():
 
 def test_the_page_on_the_paper_is_up_to_date():
     assert paper.PAGE.read_text(encoding="utf-8") == paper.page(), "python -m studies.paper"
+
+
+def test_the_page_on_validation_is_up_to_date():
+    assert validation_page.PAGE.read_text(encoding="utf-8") == validation_page.page(), (
+        "python -m studies.validation_page"
+    )
 
 
 def test_a_computed_jet_is_that_of_the_books():

@@ -20,6 +20,7 @@ from jaxir.optics.spectrum import (
     RESOLUTIONS,
     Band,
     Nodes,
+    as_bands,
     as_nodes,
     band_radiance,
     finer_nodes,
@@ -65,7 +66,7 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
     """
     if isinstance(bands, Nodes):
         return bands
-    several = (bands,) if isinstance(bands, Band) else tuple(bands)
+    several = as_bands(bands)
     if not scene.has_spectrum and all(band.response is None for band in several):
         return as_nodes(bands)
     scene = jax.tree.map(_value, scene)

@@ -8,6 +8,7 @@ from jaxir.optics import _tables
 from jaxir.optics.gas import ATMOSPHERE, GrayGas, NarrowBandGas
 from jaxir.optics.spectrum import LWIR, MWIR, STEFAN, SWIR, Band, band_radiance, resolved_nodes
 from studies import co2_lines as truth
+from studies import h2o_windows
 
 PRODUCTS = {"co2": 0.0630, "h2o": 0.0754, "o2": 0.1008}  # n-pentane in air, equivalence ratio 0.5
 TABLE = Band("table", 1e4 / 9300, 1e4 / 800)
@@ -87,11 +88,20 @@ def test_total_emissivity_of_leckner(species, temperature, reference, missing):
     [(1500.0, (1973.0, 3841.0, 203.0)), (1000.0, (332.0, 933.0, 49.0)), (600.0, (8.9, 71.0, 4.0))],
 )
 def test_plume_like_radiance(temperature, reference):
-    # SP-3080's own curve of growth with its Doppler rule, at 1 m and 0.3 atm, lies above Malkmus'.
+    # SP-3080's own curve of growth with its Doppler rule, at 1 m and 0.3 atm, lies above Malkmus'. In LWIR its water is
+    # not ours: HITEMP has 1.14 to 1.46 times less at 1000 to 2000 K and more when colder (`studies.h2o_windows`).
     nodes = resolved_nodes([SWIR, MWIR, LWIR])
     got = radiance(NarrowBandGas(0.3 * ATMOSPHERE, **PRODUCTS), temperature, 1.0, nodes)
     ratio = np.asarray(got) / np.array(reference)
-    assert np.all((ratio > 0.88) & (ratio < 1.0))
+    assert np.all((ratio > 0.88) & (ratio < 1.0) | ([False, False, True] & (ratio > 0.75) & (ratio < 1.2)))
+
+
+def test_water_between_its_bands_is_that_of_hitemp():
+    """The table is the excerpt's means, and its spline meets the excerpt's other temperatures."""
+    made = h2o_windows.since_2012()
+    assert h2o_windows.PATH.read_text(encoding="utf-8").splitlines() == h2o_windows.lines_of_table(made)
+    apart = np.abs(h2o_windows.by_spline(made))
+    assert apart.size > 100 and apart.max() < 0.12 and np.median(apart) < 0.006
 
 
 @pytest.mark.parametrize("pressure", [0.1, 0.3, 1.0])

@@ -32,6 +32,13 @@ PRINTED = 5e-10  # the tables print ten digits; slopes and fractions nine
 TOLERANCE = {"float32": 1e-6, "float64": PRINTED}
 
 
+def test_bands_stand_for_their_gray_nodes():
+    nodes = gray_nodes(jaxir.MWIR)
+    np.testing.assert_array_equal(band_radiance(300.0, jaxir.MWIR), band_radiance(300.0, nodes))
+    np.testing.assert_array_equal(band_radiance(300.0, (jaxir.MWIR,)), band_radiance(300.0, nodes))
+    np.testing.assert_allclose(brightness_temperature(band_radiance(300.0, nodes), jaxir.MWIR), 300.0, rtol=1e-5)
+
+
 @pytest.mark.parametrize("temperature", RADIANCE)
 def test_band_radiance_is_that_of_the_table(temperature, precision):
     got = jax.jit(band_radiance)(as_float(temperature), gray_nodes(BANDS))

@@ -65,9 +65,12 @@ class NarrowBandGas(AbstractGas):
     where hot gas shines through a thin layer of colder gas of the same plume; the lines' own strengths are within 4 %
     of CDSD-HITEMP (`studies.co2_levels`), and they give 1.3 times the one spectrum measured at 2200-3400 K, for reasons
     that are open (`studies.validation`).
-    Radiances of 1 m of combustion products at 0.3 atm, phi = 0.5, by NASA SP-3080's own curve of growth, for which most
-    of the table was made, are higher: Malkmus' model lies at -5, -11, -6 % of them in SWIR, MWIR, LWIR at 1500 K. With
-    the Voigt width in place of the Lorentz width, it errs at 4.3 um by -9 ... +8 %. For better accuracy use line lists.
+    H2O between its bands, at 800-1200 and 2000-3300 cm-1, has the parameters of Riviere and Soufiani (2012), made from
+    HITEMP; those of NASA SP-3080 (1973), which H2O has elsewhere, CO everywhere and CO2 beside 4.3 um, would give 1.1
+    to 1.5 times as much at 8-12 um and 1000 to 2000 K, a third at 600 K (`studies.h2o_windows`).
+    Radiances of 1 m of combustion products at 0.3 atm, phi = 0.5, by SP-3080's own curve of growth are higher: Malkmus'
+    model lies at -5 and -7 % of them in SWIR and MWIR at 1500 K. With the Voigt width in place of the Lorentz width, it
+    errs at 4.3 um by -9 ... +8 %. For better accuracy use line lists.
 
     ln k and ln 1/d are cubic splines in ln T between 300 and 2500 K (they err by less than 1 % where the gas matters)
     and straight lines in ln T beyond, in T below 200 K: values and gradients stay smooth and finite through cold cells

@@ -6,6 +6,7 @@ from jaxir.optics.spectrum._band import SECOND_RADIATION as SECOND_RADIATION
 from jaxir.optics.spectrum._band import SWIR as SWIR
 from jaxir.optics.spectrum._band import Band as Band
 from jaxir.optics.spectrum._band import Nodes as Nodes
+from jaxir.optics.spectrum._band import as_bands as as_bands
 from jaxir.optics.spectrum._band import as_nodes as as_nodes
 from jaxir.optics.spectrum._band import bin_edges as bin_edges
 from jaxir.optics.spectrum._band import bins_inside as bins_inside

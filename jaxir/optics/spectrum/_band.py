@@ -175,11 +175,19 @@ def build_nodes(
     )
 
 
-def gray_nodes(bands: Sequence[Band]) -> Nodes:
+def as_bands(bands: Band | Sequence[Band]) -> tuple[Band, ...]:
+    """One band or several, as a tuple; ValueError where there is none, or something that is not a `Band`."""
+    several = (bands,) if isinstance(bands, Band) else tuple(bands)
+    if not several or not all(isinstance(band, Band) for band in several):
+        raise ValueError(f"bands: got {bands!r}, expected at least one Band, e.g. (jaxir.MWIR, jaxir.LWIR)")
+    return several
+
+
+def gray_nodes(bands: Band | Sequence[Band]) -> Nodes:
     """One node per band: for gray surfaces and gray media nothing more is needed.
 
     Args:
-        bands: at least one band; they may overlap.
+        bands: one or more; they may overlap.
 
     Returns:
         Nodes with one node per band, weight 1; a band's response acts by its mean.
@@ -187,9 +195,7 @@ def gray_nodes(bands: Sequence[Band]) -> Nodes:
     Raises:
         ValueError: no band, or something that is not a `Band`.
     """
-    bands = tuple(bands)
-    if not bands or not all(isinstance(band, Band) for band in bands):
-        raise ValueError(f"bands: got {bands!r}, expected at least one Band, e.g. (jaxir.MWIR, jaxir.LWIR)")
+    bands = as_bands(bands)
     count = len(bands)
     lower = np.array([1e4 / band.upper for band in bands])
     upper = np.array([1e4 / band.lower for band in bands])
@@ -230,11 +236,7 @@ def padded_nodes(nodes: Nodes, count: int) -> Nodes:
 
 def as_nodes(bands: Nodes | Band | Sequence[Band]) -> Nodes:
     """`bands` as nodes: `Nodes` pass through, bands become gray nodes."""
-    if isinstance(bands, Nodes):
-        return bands
-    if isinstance(bands, Band):
-        return gray_nodes((bands,))
-    return gray_nodes(bands)
+    return bands if isinstance(bands, Nodes) else gray_nodes(bands)
 
 
 def wavelength_to_wavenumber(wavelength: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

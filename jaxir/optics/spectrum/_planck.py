@@ -14,6 +14,8 @@ and Gauss-Legendre in v converges for wide bins and narrow ones, hot and cold, w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +24,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, as_one_program
 from jaxir._math import gauss_legendre
-from jaxir.optics.spectrum._band import SECOND_RADIATION, Nodes, wavelength_to_wavenumber
+from jaxir.optics.spectrum._band import SECOND_RADIATION, Band, Nodes, as_nodes, wavelength_to_wavenumber
 
 FIRST_RADIATION = 1.1910429723971884e-8  # 2 h c^2 [W m-2 sr-1 / (cm-1)^4], exact since 2019 (CODATA 2018)
 STEFAN = FIRST_RADIATION / SECOND_RADIATION**4  # K [W m-2 sr-1 K-4]; sigma = pi^5 K / 15
@@ -60,7 +62,9 @@ def spectral_radiance_wavelength(
 
 
 @as_one_program
-def band_radiance(temperature: Float[Array, "*batch"], nodes: Nodes) -> Float[Array, "*batch node"]:
+def band_radiance(
+    temperature: Float[Array, "*batch"], nodes: Nodes | Band | Sequence[Band]
+) -> Float[Array, "*batch node"]:
     """Blackbody radiance integrated over each node's bin; the equation is at the head of this file.
 
     In float32 the quotient c2 nu / T is carried with its remainder, because an error in x1 is a relative error of
@@ -68,14 +72,14 @@ def band_radiance(temperature: Float[Array, "*batch"], nodes: Nodes) -> Float[Ar
 
     Args:
         temperature: T > 0 [*batch] [K].
-        nodes: the bins.
+        nodes: the bins, or bands, each of which is one.
 
     Returns:
         Radiance [*batch, node] [W m-2 sr-1]; underflows to exactly 0 for x1 beyond 87 in float32.
 
     Differentiable in temperature.
     """
-    hot = temperature[..., None]
+    nodes, hot = as_nodes(nodes), jnp.asarray(temperature)[..., None]
     lead = jnp.broadcast_to(nodes.edge[:, 0, 0], hot.shape[:-1] + (nodes.count,))
     rest = jnp.broadcast_to(nodes.edge[:, 0, 1], lead.shape)
     hot = jnp.broadcast_to(hot, lead.shape)
@@ -147,18 +151,21 @@ def _split(value: Array) -> tuple[Array, Array]:
 
 
 @as_one_program
-def brightness_temperature(radiance: Float[Array, "*batch band"], nodes: Nodes) -> Float[Array, "*batch band"]:
+def brightness_temperature(
+    radiance: Float[Array, "*batch band"], nodes: Nodes | Band | Sequence[Band]
+) -> Float[Array, "*batch band"]:
     """Temperature of the blackbody with the same in-band radiance, by Newton's method in ln B(1/T).
 
     Args:
         radiance: in-band radiance > 0 [*batch, band] [W m-2 sr-1].
-        nodes: the bins of the bands.
+        nodes: the bins of the bands, or bands, each of which is one.
 
     Returns:
         Temperature [*batch, band] [K].
 
     Differentiable in radiance (through 12 unrolled Newton steps).
     """
+    nodes = as_nodes(nodes)
     band = nodes.response.shape[0]
     wanted = jnp.log(radiance)
 

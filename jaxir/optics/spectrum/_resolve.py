@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._math import gauss_legendre
-from jaxir.optics.spectrum._band import Band, Nodes, bin_edges, build_nodes, gray_nodes
+from jaxir.optics.spectrum._band import Band, Nodes, as_bands, bin_edges, build_nodes, gray_nodes
 
 CO2_H2O_OVERLAP = ((800.0, 1150.0), (3300.0, 3800.0), (4800.0, 5150.0))
 """Where CO2 and H2O of combustion products both matter [cm-1]: elsewhere between 800 and 9300 cm-1 a common quantile
@@ -77,9 +77,7 @@ def resolved_nodes(
     Raises:
         ValueError: no band, a width that is not > 0, or a number of points out of range.
     """
-    bands = (bands,) if isinstance(bands, Band) else tuple(bands)
-    if not bands or not all(isinstance(band, Band) for band in bands):
-        raise ValueError(f"bands: got {bands!r}, expected at least one Band, e.g. (jaxir.MWIR, jaxir.LWIR)")
+    bands = as_bands(bands)
     if not (np.isfinite(width) and width > 0):
         raise ValueError(f"width: got {width}, expected a number > 0 [cm-1]")
     if not 1 <= points <= 64 or not 0 <= pair_points <= 64:
@@ -187,7 +185,7 @@ def nodes_for(
     """
     if not (np.isfinite(rtol) and rtol > 0):
         raise ValueError(f"rtol: got {rtol}, expected a number > 0")
-    bands = (bands,) if isinstance(bands, Band) else tuple(bands)
+    bands = as_bands(bands)
     if not resolutions:
         raise ValueError("resolutions: got none, expected at least one")
     fine = sorted((resolved_nodes(bands, *resolution) for resolution in resolutions), key=lambda nodes: nodes.count)
