@@ -23,9 +23,9 @@ from jaxir.transport import (
     Method,
     components_of,
     empty_components,
-    error_of_bands,
     evaluate_components,
     evaluate_orders,
+    lattice_error,
     share_outside,
     solution_checks,
     trace,
@@ -150,16 +150,17 @@ def first_pass(
     checks = [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene), *method.node_checks(nodes)]
     nodes = enforce(nodes, checks)
     method = method.resolved(scene)
-    lit, reach = _prepared(scene, nodes, camera, method)
+    lit, reach = _prepared(scene, nodes, camera)
+    lit = with_scattered(lit, method)
     lit = enforce(lit, [eye_outside(reach), *solution_checks(lit)])
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
     return Pass(lit, camera, key, as_number(0), strata, method, PARTS, split)
 
 
 @eqx.filter_jit
-def _prepared(scene: Scene, nodes: Nodes, camera: Camera, method: Method) -> tuple[Lit, Array]:
+def _prepared(scene: Scene, nodes: Nodes, camera: Camera) -> tuple[Lit, Array]:
     """The scene on the nodes, and how far it reaches towards the eye."""
-    return with_scattered(on_nodes(scene, nodes), method), reach_to_eye(scene, camera)
+    return on_nodes(scene, nodes), reach_to_eye(scene, camera)
 
 
 def as_number(number: int) -> Array:
@@ -194,7 +195,7 @@ def image_of_pixels(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""]
     camera, nodes = taken.camera, taken.lit.nodes
     names = () if taken.components is None else taken.components.names
     own = pixels.mean, pixels.variance, pixels.empty, samples, pixels.orders
-    about = error_of_bands(taken.lit), nodes.error, share_outside(taken.lit, camera)
+    about = lattice_error(taken.lit, camera), nodes.error, share_outside(taken.lit, camera)
     return image_of(camera, nodes.names, *own, *about, names, pixels.parts, pixels.parts_variance)
 
 

@@ -189,7 +189,8 @@ def prepare_views(
     """Check what `signature` is asked and make it ready; arguments and errors as there."""
     aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, method)
     method = method.resolved(scene)
-    lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away, method)
+    lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
+    lit = with_scattered(lit, method)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach), *solution_checks(lit)])
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
     return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method, aspect, split)
@@ -235,12 +236,12 @@ def _reach(scene: Scene, aspect: Array, shape: tuple[int, int], distance: Array)
 
 @eqx.filter_jit
 def _prepared(
-    scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array, method: Method
+    scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array
 ) -> tuple[Lit, Camera, Array]:
     """The scene on the nodes, the cameras of all views [view], and how far it reaches towards their eyes [view]."""
     lit = on_nodes(scene, nodes)
     cameras = graded_cameras(lit, aspect, shape, distance)
-    return with_scattered(lit, method), cameras, jax.vmap(lambda camera: reach_to_eye(scene, camera))(cameras)
+    return lit, cameras, jax.vmap(lambda camera: reach_to_eye(scene, camera))(cameras)
 
 
 @eqx.filter_jit

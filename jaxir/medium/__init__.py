@@ -19,6 +19,8 @@ from jaxir.medium._medium import AbstractScatterer as AbstractScatterer
 from jaxir.medium._medium import Capsules as Capsules
 from jaxir.medium._medium import MediumOptics as MediumOptics
 from jaxir.medium._medium import medium_optics as medium_optics
+from jaxir.medium._primitives import register_linear as register_linear
+from jaxir.medium._primitives import streaming_primitive as streaming_primitive
 from jaxir.medium._sum import MediumSum as MediumSum
 from jaxir.medium._sum import merged_cuts as merged_cuts
 from jaxir.medium._sum import radiance_between as radiance_between

@@ -37,5 +37,5 @@ from jaxir.transport.components import components_of as components_of
 from jaxir.transport.components import empty_components as empty_components
 from jaxir.transport.components import evaluate_components as evaluate_components
 from jaxir.transport.components import with_own_media as with_own_media
-from jaxir.transport.ordinates import error_of_bands as error_of_bands
+from jaxir.transport.ordinates import lattice_error as lattice_error
 from jaxir.transport.ordinates import solution_checks as solution_checks

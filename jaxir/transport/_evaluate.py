@@ -13,12 +13,14 @@ Densities are those of the trace; scattering, T, phase, brdf and emission carry 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -26,6 +28,7 @@ from jaxir._fields import by_band, over_nodes
 from jaxir._math import dot
 from jaxir.geometry import Rays
 from jaxir.geometry.search import face_normal
+from jaxir.medium import AbstractMedium
 from jaxir.scene import Lit
 from jaxir.transport._lights import SampledLight, emitted, lights_at_particles, lights_at_skin
 from jaxir.transport._method import ClosedForm, Method
@@ -78,25 +81,46 @@ def radiance_before_air(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:
 def with_scattered(lit: Lit, method: Method) -> Lit:
     """The scene with what its particles scatter, where the method finds that on a lattice; else as it is.
 
-    Done once, it serves all paths; `evaluate` does it unless it was done.
+    Done once, it serves all paths; `evaluate` does it unless it was done. Of known values the last solution is kept:
+    neither cameras and the air before them nor bands ask for another.
     """
     if method.scattering is None or lit.medium is None or not lit.medium.scatters:
         return lit
-    return _solved(lit, method)
+    nodes = dataclasses.replace(lit.nodes, response=jnp.zeros_like(lit.nodes.response[:1]), names=("any",), error=None)
+    scene = eqx.tree_at(lambda s: s.atmosphere, lit.scene, None, is_leaf=lambda x: x is None)
+    bare = Lit(scene, nodes, lit.blackbody, lit.medium, None, lit.beams)
+    once = dataclasses.replace(method, bounces=0, orders=0, skin_light=None, plume_light=None).resolved(scene)
+    return eqx.tree_at(lambda lit: lit.medium, lit, _remembered((bare, once)))
+
+
+def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
+    """`_solved`, or what it found for the same values before."""
+    leaves, structure = jax.tree.flatten(asked)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        return _solved(*asked)
+    key = hashlib.sha256(str(structure).encode())
+    for value in map(np.asarray, leaves):
+        key.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
+    if key.digest() not in _held:
+        _held.clear()
+        _held[key.digest()] = _solved(*asked)
+    return _held[key.digest()]
+
+
+_held: dict[bytes, AbstractMedium] = {}
 
 
 @eqx.filter_jit
-def _solved(lit: Lit, method: Method) -> Lit:
+def _solved(lit: Lit, method: Method) -> AbstractMedium:
     assert method.scattering is not None
-    alone = dataclasses.replace(method, bounces=0)
 
     def arriving(lit: Lit, rays: Rays) -> Array:
-        paths = trace(lit.scene, rays, alone, jax.random.key(0))
+        paths = trace(lit.scene, rays, method, jax.random.key(0))
         around = jnp.ones(paths.length.shape, bool) if paths.first.sees_surroundings is None else None
         segment = dataclasses.replace(paths.first, sees_surroundings=around)
         return _brings(lit, paths, segment, False, True)
 
-    return eqx.tree_at(lambda lit: lit.medium, lit, scattered(lit, method.scattering, arriving))
+    return scattered(lit, method.scattering, arriving)
 
 
 def bounced(lit: Lit, paths: Paths, least: int) -> Float[Array, "bounce ray node"]:

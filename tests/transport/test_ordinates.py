@@ -14,7 +14,7 @@ import jaxir
 from jaxir import DiscreteOrdinates, Method
 from jaxir.geometry import degrees, harmonics, sphere_rule
 from jaxir.optics.spectrum import gray_nodes
-from jaxir.transport import with_scattered
+from jaxir.transport import _evaluate, with_scattered
 
 COARSE = Method(scattering=DiscreteOrdinates(7, 5, 2))
 
@@ -118,6 +118,27 @@ def test_derivatives_are_those_of_the_solution(x64):
     for i, step in enumerate((0.1, 1e-3, 1e-3)):
         apart = jnp.zeros(3).at[i].set(step)
         np.testing.assert_allclose(reverse[i], (mean(at + apart) - mean(at - apart)) / (2 * step), rtol=1e-4)
+
+
+def test_a_solution_serves_other_cameras_and_air_and_no_other_scene(monkeypatch):
+    """Of known values; what is differentiated is solved for anew."""
+    solved = []
+    whole = _evaluate._solved
+    monkeypatch.setattr(_evaluate, "_solved", lambda *asked: solved.append(asked) or whole(*asked))
+    monkeypatch.setattr(_evaluate, "_held", {})
+    nodes, plume = gray_nodes((jaxir.MWIR,)), box(1.0, 0.9, jaxir.Isotropic())
+    air = jaxir.UniformAtmosphere(0.5, 0.0)
+    clear, hazy = (with_scattered(jaxir.Scene(None, plume, atmosphere=a).on(nodes), COARSE) for a in (None, air))
+    assert clear.medium.parts[0].moments is hazy.medium.parts[0].moments
+    assert len(solved) == 1 and hazy.air is not None
+    with_scattered(jaxir.Scene(None, box(1.1, 0.9, jaxir.Isotropic())).on(nodes), COARSE)
+    assert len(solved) == 2
+
+    def brightest(temperature):
+        scene = jaxir.Scene(None, box(1.1, 0.9, jaxir.Isotropic(), temperature))
+        return with_scattered(scene.on(nodes), COARSE).medium.parts[0].moments.max()
+
+    assert float(jax.grad(brightest)(600.0)) > 0 and len(solved) == 3
 
 
 def test_plumes_apart_do_not_disturb_one_another():

@@ -12,7 +12,7 @@ from jaxir._arrays import as_float
 from jaxir.medium import AbstractScatterer
 from jaxir.transport._method import DiscreteOrdinates
 
-FINER = 3  # points of the lattice that is read for each of that which is solved
+FINER = 2  # points of the lattice that is read for each of that which is solved
 INSET = 1e-3  # of the cube's edges, by which the outer points lie inside
 
 
@@ -85,13 +85,16 @@ def about(counts: tuple[int, ...], place: Float[Array, "ray 3"]) -> Between:
     return Between(jnp.stack(points, axis=1), jnp.stack(shares, axis=1))
 
 
-def unresolved(lattice: Lattice, table: Float[Array, "point harmonic node"]) -> Float[Array, " node"]:
-    """See `Scattered.error`, of the mean radiance."""
+def unresolved(lattice: Lattice, table: Float[Array, "point harmonic node"]) -> Float[Array, "read 1 node"]:
+    """Estimate of what interpolation errs, of the mean over all directions.
+
+    It is an eighth of how far cubics between every second of the lattice's points are from the others.
+    """
     whole = mean = table[:, 0].reshape(*lattice.solved, -1)
     for axis, count in enumerate(lattice.solved):
         place = np.unique(np.append(np.arange(0, count, 2), count - 1))
         spline = _spline(place, np.arange(count))
         half = jnp.take(whole, place, axis=axis)
         whole = jnp.moveaxis(jnp.tensordot(as_float(spline), half, axes=(1, axis)), 0, axis)
-    size = jnp.sum(jnp.abs(mean), axis=(0, 1, 2))
-    return jnp.sum(jnp.abs(whole - mean), axis=(0, 1, 2)) / jnp.where(size > 0, size, 1) / 8
+    apart = (jnp.abs(whole - mean) / 8).reshape(table.shape[0], 1, -1)
+    return jnp.maximum(refined(lattice, apart), 0)

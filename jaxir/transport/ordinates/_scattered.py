@@ -8,9 +8,9 @@ L_lm being the coefficients of L in spherical harmonics and chi_l the Legendre m
 
     L_lm = L0_lm + K L_lm,
 
-L0 being what arrives at x without having been scattered in the plume, and K the transport of J along rays from the
-lattice's points, in the directions of a rule over the sphere. A Krylov method solves it, however often light is
-scattered. L is then known along every other ray by one integral, `Scattered.radiance`.
+L0 being what arrives at x without having been scattered in the plume, sources without extent too, and K the transport
+of J along rays from the lattice's points, in the directions of a rule over the sphere. A Krylov method solves it,
+however often light is scattered. L is then known along every other ray by one integral, `Scattered.radiance`.
 
 Of a forward lobe the share f = chi_(order + 1) is taken as not scattered (Wiscombe, "The delta-M method", J. Atmos.
 Sci. 34, 1977), and light of sources without extent is scattered once with the whole phase function (Nakajima and
@@ -34,23 +34,26 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, on_host
 from jaxir._math import safe_sqrt, sum_before
-from jaxir.geometry import Rays, degrees, harmonics, sphere_rule
+from jaxir.geometry import Camera, Rays, degrees, harmonics, sphere_rule
 from jaxir.geometry.search import any_hit, closest_hit
 from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, merged_cuts, radiance_between
 from jaxir.optics import phi1
 from jaxir.scene import Lit
 from jaxir.scene.light import AbstractDeltaSource
 from jaxir.transport._method import DiscreteOrdinates
+from jaxir.transport.ordinates._collected import collected
+from jaxir.transport.ordinates._krylov import solved
 from jaxir.transport.ordinates._lattice import Between, Lattice, about, lattice_of, places, refined, unresolved
 
 MORE = 3  # polar angles of the rule than the highest degree; one rule for all that arrives, or a furnace is none
 STEPS = 12  # points of a ray between the lattice's points, nearer to one another near its own
 MOST = 2**29  # numbers that transport may keep
-TOLERANCE = 1e-5  # of the residual
+CLOSE = {"float32": 1e-4, "float64": 1e-6}  # residual at which to end, as a share of the first term, of each node
 SOLVED = 1e-2  # residual of a solution at most
-THICK = 4.0  # optical depth of scattering between neighbours of the lattice at most
+THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
-ITERATIONS = 200
+MOST_STEPS = 200
+SIDE = 24  # of the grid of rays on which an image's error is found
 
 
 class _Beam(eqx.Module):
@@ -74,26 +77,33 @@ class _Part(eqx.Module):
         medium: without its forward lobe.
         kept: share of scattering that is not forward [node].
         moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
+        lacking: what `unresolved` says that their mean over all directions lacks [read, 1, node].
         beams: of all sources without extent.
     """
 
     medium: AbstractScatterer
     kept: Float[Array, " node"]
     moments: Float[Array, "read harmonic node"]
+    lacking: Float[Array, "read 1 node"]
     beams: tuple[_Beam, ...]
     counts: tuple[int, int, int] = eqx.field(static=True)
 
+    def read(self, point: Array, toward: Float[Array, "ray harmonic"], table: Array) -> tuple[Array, Between, Array]:
+        """Coefficients at points, with `toward` as harmonics and scattered [ray, node]; where that is; scattering."""
+        between, scattering = about(self.counts, self.medium.to_cube(point)), self.medium.scattering_at(point)
+        near = jnp.where(jnp.any(scattering > 0, axis=1, keepdims=True), between.share, 0)
+        return collected(between.point[:, None], near[:, None], scattering[:, None], toward, table), between, scattering
+
     def source(self, point: Array, direction: Array, toward: Float[Array, "ray harmonic"]) -> Float[Array, "ray node"]:
         """J of rays in `direction` at points [ray, node] [W m-3 sr-1]; `toward` are harmonics of where light goes."""
-        between = about(self.counts, self.medium.to_cube(point))
-        found = jnp.sum(between.read(self.moments) * toward[:, :, None], axis=1)
+        found, between, scattering = self.read(point, toward, self.moments)
         phase = self.medium.lobe
         assert phase is not None
         for beam in self.beams:
             irradiance, omega = beam.arriving(between, point)
             lobe = jax.vmap(phase.eval)(jnp.sum(omega * direction, axis=-1))
-            found = found + lobe / self.kept[None] * irradiance
-        return self.medium.scattering_at(point) * found
+            found = found + scattering * lobe / self.kept[None] * irradiance
+        return found
 
 
 class Scattered(AbstractMedium):
@@ -103,17 +113,15 @@ class Scattered(AbstractMedium):
         medium: without forward lobes.
         parts: what scatters in it.
         order: highest degree of harmonics.
-        error: estimated share [node] that the lattice lacks of what is scattered: how far cubics between every second
-            of its points are from the others, an eighth of it.
         residual: what the solution lacks of the equation, as a share of its first term, at most.
-        step: largest optical depth of scattering between neighbours of the lattice.
+        step: largest optical depth of scattering between neighbours of the lattice on that of its axes on which it is
+            least: light leaves a long plume across, and along it little changes from one depth to the next.
         backward: largest Legendre moment beyond the harmonics that is none of a forward lobe.
     """
 
     medium: AbstractMedium
     parts: tuple[_Part, ...]
     order: int = eqx.field(static=True)
-    error: Float[Array, " node"]
     residual: Float[Array, ""]
     step: Float[Array, ""]
     backward: Float[Array, ""]
@@ -131,6 +139,18 @@ class Scattered(AbstractMedium):
             return extinction, source
 
         return radiance_between(self.cuts(rays, t_max), rays, behind, coefficients)
+
+    def lacking(self, rays: Rays) -> Float[Array, "ray node"]:
+        """What `radiance` may lack for the lattice's coarseness, as `unresolved` sees it."""
+        far = jnp.full(rays.count, jnp.inf, rays.origin.dtype)
+
+        def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
+            point, even = rays.at(t), harmonics(-rays.direction, 0)
+            extinction, _ = self.medium.coefficients(point)
+            return extinction, sum((part.read(point, even, part.lacking)[0] for part in self.parts), 0 * extinction)
+
+        dark = jnp.zeros((rays.count, self.parts[0].lacking.shape[2]), rays.origin.dtype)
+        return radiance_between(self.cuts(rays, far), rays, dark, coefficients)
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`; what is scattered forward passes."""
@@ -219,43 +239,45 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     def transported(table: Array) -> Array:
         """K of coefficients [point, harmonic, node]."""
         sent = [part * chi[None] for part, (_, chi, _) in zip(split(table), moments, strict=True)]
+        into = [jnp.einsum("dh,phn->dpn", lobes, part) for part in sent]
+        once = jnp.ones((point.shape[0], 1), table.dtype)
 
-        def one(total: Array, own: tuple) -> tuple[Array, None]:
-            ways, lobe, share = own
+        def one(_: None, own: tuple) -> tuple[None, Array]:
             came = jnp.zeros_like(table[:, 0])
-            for (between, passed), lattice, part in zip(ways, lattices, sent, strict=True):
-                into = refined(lattice, jnp.einsum("phn,h->pn", part, lobe))
-                read = between.read(into).reshape(passed.shape)
-                came = came + jnp.sum(read * passed, axis=1)
-            return total + share[None, :, None] * came[:, None], None
+            for (between, passed), lattice, part in zip(own[0], lattices, own[1], strict=True):
+                place, near = (x.reshape(*passed.shape[:2], -1) for x in between)
+                came = came + collected(place, near, passed, once, refined(lattice, part)[:, None])
+            return None, came
 
-        return lax.scan(one, jnp.zeros_like(table), (routes, lobes, by_direction))[0]
+        return jnp.einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (routes, into))[1])
 
     beams = [
         tuple(_beam(lit, medium, part, lattice, source) for source in lit.scene.delta_sources)
         for part, lattice in zip(parts, lattices, strict=True)
     ]
-    begin = unscattered
+    straight = jnp.zeros_like(unscattered)
     if lit.scene.delta_sources:
-        straight = [_of_beams(*each, order) for each in zip(parts, lattices, beams, strict=True)]
-        begin = begin + transported(jnp.concatenate(straight))
+        straight = jnp.concatenate([_of_beams(*each, order) for each in zip(parts, lattices, beams, strict=True)])
+    begin = unscattered + straight
     scale = jnp.max(jnp.abs(begin), axis=(0, 1))
     scale = lax.stop_gradient(jnp.where(scale > 0, scale, 1))[None, None]
 
-    def lacking(table: Array) -> Array:
-        return table - transported(table)
-
-    solution, _ = jax.scipy.sparse.linalg.bicgstab(lacking, begin / scale, tol=TOLERANCE, maxiter=ITERATIONS)
-    rest = jnp.max(jnp.abs(lax.stop_gradient(lacking(solution) - begin / scale)))
-    each = [table * scale for table in split(solution)]
+    solution, rest = solved(transported, begin / scale, CLOSE[str(begin.dtype)], MOST_STEPS)
+    each = split(solution * scale - straight)  # beams are scattered with the whole lobe
     held = tuple(
-        _Part(part, 1 - forward, refined(lattice, table * chi[None]), own, lattice.read)
+        _Part(
+            part,
+            1 - forward,
+            refined(lattice, table * chi[None]),
+            lax.stop_gradient(unresolved(lattice, table)),
+            own,
+            lattice.read,
+        )
         for part, lattice, table, own, (forward, chi, _) in zip(parts, lattices, each, beams, moments, strict=True)
     )
-    error = jnp.max(jnp.stack([unresolved(*x) for x in zip(lattices, each, strict=True)]), axis=0)
     step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
     backward = jnp.max(jnp.stack([beyond for *_, beyond in moments]))
-    return Scattered(medium, held, order, *lax.stop_gradient((error, rest, step, backward)))
+    return Scattered(medium, held, order, *lax.stop_gradient((rest, step, backward)))
 
 
 def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
@@ -269,7 +291,7 @@ def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
         last = scattering.shape[axis]
         both = [lax.slice_in_dim(scattering, k, last - 1 + k, axis=axis) for k in (0, 1)]
         found.append(jnp.max(apart * jnp.maximum(*both)))
-    return jnp.max(jnp.stack(found))
+    return jnp.min(jnp.stack(found))
 
 
 def _moments(medium: AbstractScatterer, order: int, nodes: int) -> tuple[Float[Array, " node"], Array, Array]:
@@ -339,8 +361,27 @@ def solution_checks(lit: Lit) -> list[Check]:
     ]
 
 
-def error_of_bands(lit: Lit) -> Float[Array, " band"] | None:
-    """`Scattered.error` by band, as a share of what is scattered [band]; None where nothing was solved for."""
+def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
+    """Share of the intensity of plumes in a camera's image that the lattice lacks [band], see `Scattered.lacking`.
+
+    None where nothing was solved for. What is in front of plumes is not looked for.
+    """
     if not isinstance(lit.medium, Scattered):
         return None
-    return lit.nodes.in_band(lit.medium.error) / lit.nodes.in_band(jnp.ones_like(lit.medium.error))
+    grid = (np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), axis=-1).reshape(-1, 2) + 0.5) / SIDE
+    half, start = camera.half_size(), lit.scene.start(camera)
+    edges = as_float(np.array(list(np.ndindex(2, 2, 2))))
+    missing = whole = jnp.zeros(lit.nodes.response.shape[0], camera.pixel.dtype)
+    for part in lit.medium.parts:
+        corner = camera.project(part.medium.from_cube(edges))
+        low, high = (jnp.clip(end, -half, half) for end in (corner.min(axis=0), corner.max(axis=0)))
+        screen = low[None] + (high - low)[None] * as_float(grid)
+        rays = camera.bundle(screen, start).rays()
+        far, dark = jnp.full(rays.count, jnp.inf, low.dtype), jnp.zeros((rays.count, lit.nodes.count), low.dtype)
+        weight = (jnp.prod(high - low) / camera.slant(screen) ** 2)[:, None]
+        seen = lit.medium.radiance(rays, far, dark)
+        missing, whole = (
+            total + jnp.sum(lit.nodes.in_band(each * weight), axis=0)
+            for total, each in ((missing, lit.medium.lacking(rays)), (whole, seen))
+        )
+    return missing / jnp.where(whole > 0, whole, 1)
