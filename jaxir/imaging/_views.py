@@ -212,7 +212,11 @@ def check_views(
     pixel_strata(samples)
     resolved = (Method() if method is None else method).resolved(scene)
     components_of(scene, resolved, components)
-    eqx.filter_eval_shape(_prepared, scene, nodes, aspect, shape, away, resolved)  # parts that do not suit the nodes
+
+    def ready(*asked: Any) -> Lit:
+        return with_scattered(_prepared(*asked)[0], resolved)
+
+    eqx.filter_eval_shape(ready, scene, nodes, aspect, shape, away)  # parts that do not suit the nodes
     enforce(nodes, [eye_outside(_reach(scene, aspect, shape, away))])
 
 
