@@ -39,7 +39,8 @@ class Image(eqx.Module):
         outcome: why no more were taken, an item of `Outcome`.
         orders: what the last two orders of scattering brought of the radiant intensity, the last first [2, band]
             [W sr-1]; None without particles.
-        unresolved: estimated share of what particles scatter that `DiscreteOrdinates` lacks [band]; None without.
+        unresolved: estimated share of the plumes' intensity in the image that the lattice of `DiscreteOrdinates` lacks
+            [band]; None without.
         spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
         outside: share of the scene's intensity beyond the frame, roughly [band], see `share_outside`; None unknown.
         asked: what it is an image of, for `error_budget`; None where values were known only inside jit.

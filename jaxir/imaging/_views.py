@@ -45,8 +45,8 @@ class Signature(eqx.Module):
         intensity: contrast intensity, see `Image.radiant_intensity` [view, band] [W sr-1].
         standard_error: of `intensity` [view, band] [W sr-1].
         bands: band names.
-        truncation: estimated share of `intensity` that orders of scattering beyond the last would add, see
-            `Image.truncation` [view, band].
+        truncation: estimated share of `intensity` that is left out of what particles scatter, see `Image.truncation`
+            [view, band].
         spectral: what the spectral nodes err, as a share of the intensity [band], or [view, band] of several states;
             None where they were given.
         asked: what it is the signature of, for `error_budget`; None where values were known only inside jit, and of

@@ -101,10 +101,12 @@ def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
     key = hashlib.sha256(str(structure).encode())
     for value in map(np.asarray, leaves):
         key.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
-    if key.digest() not in _held:
+    found = _held.get(key.digest())
+    if found is None:
+        found = _solved(*asked)
         _held.clear()
-        _held[key.digest()] = _solved(*asked)
-    return _held[key.digest()]
+        _held[key.digest()] = found
+    return found
 
 
 _held: dict[bytes, AbstractMedium] = {}

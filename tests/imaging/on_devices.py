@@ -26,9 +26,9 @@ def scene(irradiance=100.0):
     return jaxir.Scene(plate(), sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), irradiance),))
 
 
-def image(devices=None):
+def image(devices=None, irradiance=100.0):
     """An image and its error."""
-    seen = jaxir.render(scene(), camera(), jaxir.LWIR, samples=4, devices=devices)
+    seen = jaxir.render(scene(irradiance), camera(), jaxir.LWIR, samples=4, devices=devices)
     return [np.asarray(leaf) for leaf in (seen.radiance, seen.standard_error)]
 
 
@@ -36,6 +36,17 @@ def table(devices=None):
     """A signature and its error."""
     seen = jaxir.signature(scene(), VIEWS, jaxir.LWIR, shape=(24, 24), devices=devices)
     return [np.asarray(leaf) for leaf in (seen.intensity, seen.standard_error)]
+
+
+def assert_compiled_once(mesh):
+    """An image of other values on the same devices takes the programs of the first."""
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, seconds, **_: compiled.append(seconds) if event.endswith("backend_compile_duration") else None
+    )
+    brighter = image(mesh, 300.0)
+    assert compiled == []
+    assert brighter[0].sum() > image(mesh)[0].sum()
 
 
 if __name__ == "__main__":
@@ -47,3 +58,5 @@ if __name__ == "__main__":
     if len(sys.argv) > 2:
         folder = Path(sys.argv[1]).parent / "sweep"
         sweep(folder, scene(), VIEWS, jaxir.LWIR, shape=(24, 24), devices=mesh)
+    else:
+        assert_compiled_once(mesh)
