@@ -110,9 +110,14 @@ def test_gradients_reach_each_plume(x64):
         return look(jaxir.Scene(plumes=jets), rays)[:, 0].sum()
 
     at = jnp.asarray([[900.0, 0.6], [700.0, 1.5]])
-    forward, reverse = (jax.jit(mode(total))(at) for mode in (jax.jacfwd, jax.jacrev))
+    modes = [mode(total) for mode in (jax.jacfwd, jax.jacrev)]
+    all_at_once = jax.jit(lambda at: [total(at), *(mode(at) for mode in modes)])  # one program compiles faster
+    _, forward, reverse = all_at_once(at)
     np.testing.assert_allclose(forward, reverse, rtol=1e-8)
-    compiled = jax.jit(total)
+
+    def compiled(at):
+        return all_at_once(at)[0]
+
     for place in np.ndindex(2, 2):
         step = 1e-4 * at[place]
         difference = (compiled(at.at[place].add(step)) - compiled(at.at[place].add(-step))) / (2 * step)
