@@ -10,6 +10,7 @@ entry are enforced together: at once with the field, the value and the place whe
 from __future__ import annotations
 
 import functools
+import hashlib
 import sys
 import warnings
 from collections.abc import Iterable
@@ -53,6 +54,19 @@ def known(value: Any) -> np.ndarray | None:
     if inner is None or not isinstance(axis, int):  # not mapped over
         return inner
     return np.moveaxis(inner, axis + inner.ndim - np.ndim(value.val), 0)
+
+
+def is_traced(inputs: Any) -> bool:
+    """Whether any value is known only inside a transformation."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(inputs))
+
+
+def fingerprint(inputs: Any) -> bytes:
+    """A digest of all known values, with their types and shapes: the same for the same values."""
+    digest = hashlib.sha256()
+    for value in map(np.asarray, jax.tree.leaves(inputs)):
+        digest.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
+    return digest.digest()
 
 
 def on_host(*values: Any) -> tuple[Any, ...]:

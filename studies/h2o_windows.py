@@ -71,12 +71,17 @@ def lines_of_table(made: Parameters) -> list[str]:
     return rest[:head] + [water[key] for key in sorted(water)] + rest[head:]
 
 
+def bin_from(start: int) -> jaxir.Band:
+    """The bin that starts there [cm-1]."""
+    return jaxir.Band("bin", 1e4 / (start + BIN), 1e4 / start)
+
+
 def planck_mean(parameters: Parameters, kelvin: int, window: tuple[int, int]) -> float:
     """Of k over a window [cm-1 atm-1]; bins that are left out count as 0."""
     starts = range(*window, BIN)
-    black = [float(band_radiance(float(kelvin), jaxir.Band("bin", 1e4 / (x + BIN), 1e4 / x))[0]) for x in starts]
+    black = np.asarray(band_radiance(float(kelvin), [bin_from(start) for start in starts]), np.float64)
     k = [parameters.get((kelvin, start), (0.0, 0.0))[0] for start in starts]
-    return float(np.dot(black, k) / sum(black))
+    return float(black @ k / black.sum())
 
 
 def by_spline(made: Parameters) -> list[float]:
@@ -85,8 +90,7 @@ def by_spline(made: Parameters) -> list[float]:
     gas = jaxir.NarrowBandGas(101325.0, h2o=0.1)
     for (kelvin, start), (k, _) in made.items():
         if kelvin not in LEVELS and kelvin < max(LEVELS):
-            band = jaxir.Band("bin", 1e4 / (start + BIN), 1e4 / start)
-            nodes = jaxir.resolved_nodes(band, BIN, 24, 0)
+            nodes = jaxir.resolved_nodes(bin_from(start), BIN, 24, 0)
             mean = jnp.sum(nodes.weight * gas.absorption(nodes, jnp.asarray(float(kelvin)))) / jnp.sum(nodes.weight)
             apart.append(float(np.log(float(mean) / (100 * k * 0.1 * 273 / kelvin))))
     return apart

@@ -3,8 +3,8 @@
 Each case has a known answer. Peers that are not installed (extra `peers`) leave no rows.
 
 - A camera far away: two plates, radiances 1 and 3, the second 1 cm in front of half of the first, in 64 x 64 pixels
-  that span 2 m at every range. Root mean square of pixel / truth - 1. Who puts the eye at
-  its true place loses the step and then the plates; a bundle of rays relative to its target does not.
+  that span 2 m at every range. Root mean square of pixel / truth - 1. Who puts the eye at its true place loses the
+  step and then the plates; a bundle of rays relative to its target does not.
 - Thin emission and thick transmission: a homogeneous gas 1 m deep. Relative error of 1 - exp(-depth) and exp(-depth).
   The plain formula is the one that codes of transmittances use. Mitsuba's media do not emit; by Kirchhoff's law a gas
   of one temperature emits what it takes from an environment of radiance 1 (`volpath`, its random error included).
@@ -76,14 +76,14 @@ def seen_by_mitsuba(mi: Any, distance: float) -> np.ndarray:
     return np.asarray(mi.render(mi.load_dict(scene), spp=16))[:, :, 0]
 
 
-def far(peers: Any) -> Found:
+def far(mi: Any) -> Found:
     """The two plates from far away."""
     codes: dict[str, Callable[[float], np.ndarray]] = {"jaxir": seen_by_jaxir}
-    if peers is not None:
-        codes["Mitsuba"] = lambda distance: seen_by_mitsuba(peers[0], distance)
+    if mi is not None:
+        codes["Mitsuba"] = lambda distance: seen_by_mitsuba(mi, distance)
+    right = np.asarray(jaxir.orthographic_camera(0.0, 0.0, 1.0, (1, 1)).frame)[0, 1]  # +y in the image
+    true = np.where((np.arange(PIXELS) < PIXELS / 2) == (right < 0), 3.0, 1.0)
     for distance in RANGES:
-        right = np.asarray(jaxir.perspective_camera(0.0, 0.0, distance, 1e-3, (1, 1)).frame)[0, 1]  # +y in the image
-        true = np.where((np.arange(PIXELS) < PIXELS / 2) == (right < 0), 3.0, 1.0)
         for code, run in codes.items():
             error = np.sqrt(np.mean((run(distance) / true - 1) ** 2))
             yield "camera far away", distance, code, float(error)
@@ -122,21 +122,21 @@ def gas_of_mitsuba(mi: Any, depth: float, count: int) -> tuple[float, float]:
     return 1 - passed, passed
 
 
-def gases(peers: Any, count: int) -> Found:
+def gases(mi: Any, count: int) -> Found:
     """Thin and thick gas."""
     for depth in DEPTHS:
         emitted, passed = -np.expm1(-depth), np.exp(-depth)
         through = np.exp(-np.float32(depth))
         found = {"jaxir": gas_of_jaxir(depth), "plain formula": (float(1 - through), float(through))}
-        if peers is not None:
-            found["Mitsuba"] = gas_of_mitsuba(peers[0], depth, count)
+        if mi is not None:
+            found["Mitsuba"] = gas_of_mitsuba(mi, depth, count)
         for code, (emission, transmission) in found.items():
             yield "thin emission", depth, code, abs(emission / emitted - 1)
             if depth > 0.05:
                 yield "thick transmission", depth, code, abs(transmission / passed - 1)
 
 
-def searches(vertices: np.ndarray, faces: np.ndarray, peers: Any) -> dict[str, Callable[[Rays], np.ndarray]]:
+def searches(vertices: np.ndarray, faces: np.ndarray, mi: Any) -> dict[str, Callable[[Rays], np.ndarray]]:
     """By code, whether rays meet a mesh."""
     mesh = jaxir.Mesh(vertices, faces)
     raw = embree(np.asarray(mesh.vertices)[faces])
@@ -144,23 +144,23 @@ def searches(vertices: np.ndarray, faces: np.ndarray, peers: Any) -> dict[str, C
     def both(rays: Rays) -> tuple[np.ndarray, np.ndarray]:
         return np.asarray(rays.origin), np.asarray(rays.direction)
 
-    codes: dict[str, Callable[[Rays], np.ndarray]] = {"jaxir": lambda rays: np.asarray(closest_hit(mesh, rays).face)}
+    codes: dict[str, Callable[[Rays], np.ndarray]] = {
+        "jaxir": lambda rays: np.asarray(closest_hit(mesh, rays).face) >= 0
+    }
     if raw is not None:
-        codes["Embree"] = lambda rays: np.asarray(raw(*both(rays), "INTERSECT"))
-    if peers is not None:
-        mi = peers[0]
+        codes["Embree"] = lambda rays: np.asarray(raw(*both(rays), "INTERSECT")) >= 0
+    if mi is not None:
         scene = mi.load_dict({"type": "scene", "mesh": mitsuba_peer.mesh(mi, vertices, faces, {"type": "diffuse"})})
 
         def run(rays: Rays) -> np.ndarray:
             origin, direction = both(rays)
-            met = scene.ray_test(mi.Ray3f(mi.Point3f(origin.T), mi.Vector3f(direction.T)))
-            return np.asarray(met).astype(int) - 1
+            return np.asarray(scene.ray_test(mi.Ray3f(mi.Point3f(origin.T), mi.Vector3f(direction.T))))
 
         codes["Mitsuba"] = run
-    return {code: lambda rays, run=run: run(rays) >= 0 for code, run in codes.items()}
+    return codes
 
 
-def seam_losses(peers: Any, count: int) -> Found:
+def seam_losses(mi: Any, count: int) -> Found:
     """A sphere whose edges and vertices are aimed at."""
     rng = np.random.default_rng(0)
     vertices, faces = sphere(4)
@@ -173,11 +173,11 @@ def seam_losses(peers: Any, count: int) -> Found:
         towards = cosine * normal + np.sqrt(1 - cosine**2) * side / np.linalg.norm(side, axis=1, keepdims=True)
         rays = Rays(jnp.asarray(at.point + 2.5 * towards, jnp.float32), jnp.asarray(-towards, jnp.float32))
         sure = at.clear(towards, 2.5 + 2 * place)
-        for code, met in searches(body, faces, peers).items():
+        for code, met in searches(body, faces, mi).items():
             yield "seams", place, code, float(np.mean(~met(rays)[sure]))
 
 
-def sliver_losses(peers: Any) -> Found:
+def sliver_losses(mi: Any) -> Found:
     """Needles whose middles are aimed at."""
     for slim in SLIMNESS:
         vertices, faces = needles(NEEDLES, slim)
@@ -186,7 +186,7 @@ def sliver_losses(peers: Any) -> Found:
         start = (np.tile(corners.mean(axis=1), (2, 1)) - 2 * along).astype(np.float32)
         sure = np.array([every_face(corners, *ray)[0] for ray in zip(*map(np.float64, (start, along)), strict=True)])
         rays = Rays(jnp.asarray(start), jnp.asarray(along))
-        for code, met in searches(vertices, faces, peers).items():
+        for code, met in searches(vertices, faces, mi).items():
             yield "slivers", slim, code, float(np.mean(~met(rays)[sure]))
 
 
@@ -199,8 +199,9 @@ def main(run: Run) -> str:
     from matplotlib.lines import Line2D
 
     warnings.simplefilter("ignore", jaxir.PlausibilityWarning)  # gas of 3 K and cameras 10,000 km away are the point
-    chosen, peers = run.options, mitsuba_peer.load()
-    cases = (far(peers), gases(peers, chosen.paths), seam_losses(peers, chosen.seams), sliver_losses(peers))
+    chosen, loaded = run.options, mitsuba_peer.load()
+    mi = None if loaded is None else loaded[0]
+    cases = (far(mi), gases(mi, chosen.paths), seam_losses(mi, chosen.seams), sliver_losses(mi))
     found = [row for case in cases for row in tqdm(case, leave=False)]
     rows = [dict(zip(("case", "parameter", "code", "error"), row, strict=True)) for row in found]
     run.table(rows)
@@ -215,16 +216,14 @@ def main(run: Run) -> str:
     figure, axes = subplots(1, len(labels), figsize=(16, 3.4), sharey=True)
     said = []
     for axis, (case, label) in zip(axes, labels.items(), strict=True):
+        worst = {}
         for colour, code in enumerate(codes):
             own = [(row["parameter"], row["error"]) for row in rows if (row["case"], row["code"]) == (case, code)]
             if own:
                 axis.loglog(*np.maximum(np.array(own).T, 1e-9), "o-", ms=4, color=f"C{colour}")
+                worst[code] = max(error for _, error in own)
         axis.set(xlabel=label, title=case, ylim=(5e-10, 1e2))
         axis.axhline(1e-9, color="0.6", lw=0.8, zorder=0)
-        worst = {
-            code: max(row["error"] for row in rows if (row["case"], row["code"]) == (case, code))
-            for code in dict.fromkeys(row["code"] for row in rows if row["case"] == case)
-        }
         said.append(f"{case}: " + ", ".join(f"{code} {error:.2g}" for code, error in worst.items()))
     axes[0].set_ylabel("error or share lost\n(at the line: below 1e-9)")
     figure.legend([Line2D([], [], color=f"C{colour}") for colour in range(len(codes))], codes, loc="outside right")

@@ -19,7 +19,8 @@ ROUTES = {  # in validation.csv: on the page
     "default gas and air": "`NarrowBandGas` and `StandardAtmosphere` as they are",
 }
 HARMONIC = 1.47, 1.38  # of the torch, and of its CO2 alone, by the lines of before; they cannot be made any more
-BANDS_OF_GASES = ("1.85", "2.55", "2.75", "4.25", "4.37", "4.50", "4.60", "4.80", "5.00")  # um, H2O and CO2
+NO = "torch, NO at 4.96-5.20 um"
+BESIDE = ("3.30", "3.90")  # um, of the motor: HCl and soot, beside the bands of H2O and CO2
 
 HEAD = """
 Every row can be repeated with its command. Data that ship lie in `studies/data` with their citation. This page is
@@ -48,10 +49,14 @@ Mathesius and Hansman, *J. Spacecraft and Rockets*, 10.2514/1.A36028 (motor plum
 """  # noqa: E501
 
 
+def without_zero(text: str) -> str:
+    """A number's text without the zero before its point."""
+    return text[1:] if text.startswith("0.") else text
+
+
 def short(value: float) -> str:
     """A number as the page prints it: .36, 1.36, 47."""
-    text = f"{value:.3g}" if abs(value) >= 1 else f"{value:.2f}"
-    return text.replace("0.", ".", 1) if text.startswith("0.") else text
+    return f"{value:.3g}" if abs(value) >= 1 else without_zero(f"{value:.2f}")
 
 
 def round_number(value: float) -> str:
@@ -61,8 +66,7 @@ def round_number(value: float) -> str:
 
 def small(value: float) -> str:
     """An error in one digit: 6e-8, .3, 0."""
-    text = f"{value:.1g}".replace("e-0", "e-")
-    return text.replace("0.", ".", 1) if text.startswith("0.") else text
+    return without_zero(f"{value:.1g}".replace("e-0", "e-"))
 
 
 def span(values: list[float]) -> str:
@@ -77,6 +81,8 @@ class Found:
         self.rows = {row["comparison"]: row for row in table("validation")}
         self.ratio = {name: float(row["ratio"]) for name, row in self.rows.items()}
         self.by_bin = table("validation_torch")
+        self.levels = table("co2_levels")
+        self.water = table("h2o_windows")
 
     def like(self, *parts: str) -> list[float]:
         """Ratios of all comparisons whose names hold the parts."""
@@ -95,11 +101,21 @@ class Found:
         sums = {key: sum(float(row[key]) for row in self.counted()) for key in ("lines", "measured", "of which CO")}
         return (sums["lines"] - sums["of which CO"]) / sums["measured"]
 
+    def einstein(self, name: str = "einstein_error") -> float:
+        """Root mean square error of published Einstein coefficients [%]."""
+        logs = [np.log1p(float(row[f"{name}_percent"]) / 100) for row in self.levels]
+        return 100 * float(np.sqrt(np.mean(np.square(logs))))
+
+    def asked(self) -> str:
+        """The amounts that the torch's spectrum asks for."""
+        note = self.rows["torch, carbon inside 0.48 cm that the spectrum asks for"]["note"]
+        return note.rsplit(",", 1)[0].replace(" x ", " × ").replace("CO2", "CO₂")
+
     def motor(self, bands: bool, hot: bool) -> list[float]:
         """Ratios of the motor in the bands of H2O and CO2 or beside them, with the cool or the hot exit."""
         ratios = []
         for name, row in self.rows.items():
-            if name.startswith("motor") and (name.split()[1] in BANDS_OF_GASES) == bands:
+            if name.startswith("motor") and (name.split()[1] not in BESIDE) == bands:
                 ours = float(row["note"].split()[0]) if hot else float(row["ours"])
                 ratios.append(ours / float(row["reference"]))
         return ratios
@@ -119,7 +135,7 @@ def bullets(*texts: str) -> str:
 def failures(found: Found) -> str:
     """What fails."""
     cool = [100 * ratio for ratio in found.motor(bands=True, hot=False)]
-    window = {(row["window_cm-1"], row["temperature_K"]): float(row["ratio"]) for row in table("h2o_windows")}
+    window = {(row["window_cm-1"], row["temperature_K"]): float(row["ratio"]) for row in found.water}
     at = {kelvin: short(window["800-1200", kelvin]) for kelvin in ("600", "1000", "2000")}
     return "## What fails\n\n" + bullets(
         f"""**CO₂ at 2200 to 3400 K comes out too bright**: {short(found.ratio[TORCH + "lines"])} times the one
@@ -141,9 +157,9 @@ def failures(found: Found) -> str:
 def torch(found: Found) -> str:
     """The torch."""
     rows = [(text, short(found.ratio[TORCH + route]), found.bins(route)) for route, text in ROUTES.items()]
-    no, levels = short(found.ratio["torch, NO at 4.96-5.20 um"]), table("co2_levels")
+    no = short(found.ratio[NO])
     rows.append(("NO at 4.96–5.20 µm, in the same spectrum, behind the room's water", no, ""))
-    hottest = max(float(row["energy"]) for row in levels)
+    hottest = max(float(row["energy"]) for row in found.levels)
     carbon = short(found.ratio["torch, carbon inside 0.48 cm that the spectrum asks for"])
     return (
         "## The torch\n\n"
@@ -159,29 +175,17 @@ def torch(found: Found) -> str:
             f"*Not the calibration, and not the profile's core*: NO, which shines from the core, is right ({no}).",
             """*Not the partition function*: it is that of TIPS within .2 % up to 2000 K and 1.2 % at 3000 K; the
             harmonic one was 4 % off.""",
-            f"""*Not the strengths of lines, as far as they are published*: {len(levels)} lines of HITRAN and
-            CDSD-HITEMP, from states of up to {hottest:,.0f} cm⁻¹, are met with {einstein():.1f} % rms
+            f"""*Not the strengths of lines, as far as they are published*: {len(found.levels)} lines of HITRAN and
+            CDSD-HITEMP, from states of up to {hottest:,.0f} cm⁻¹, are met with {found.einstein():.1f} % rms
             (`studies.co2_levels`). Harmonic moments, which the lines had before, err by
-            {einstein("with_harmonic_moments"):.0f} % rms.""",
+            {found.einstein("with_harmonic_moments"):.0f} % rms.""",
             f"""*Perhaps the assumed split of carbon between CO and CO₂*, which was computed for equilibrium. A fit of
-            three amounts to the spectrum asks for {asked(found)}; carbon inside then is {carbon} times what is
+            three amounts to the spectrum asks for {found.asked()}; carbon inside then is {carbon} times what is
             assumed. One factor of .73 on everything fits nearly as well, so this is a reading and no proof.""",
             """RADIS's own test of this case asks for a residual below .02, but as √Σ(ΔI)²/N in mW cm⁻² sr⁻¹, in which
             the spectrum itself is about .005: it would pass with any factor, so it does not decide.""",
         )
     )
-
-
-def asked(found: Found) -> str:
-    """The amounts that the torch's spectrum asks for."""
-    note = found.rows["torch, carbon inside 0.48 cm that the spectrum asks for"]["note"]
-    return note.rsplit(",", 1)[0].replace(" x ", " × ").replace("CO2", "CO₂")
-
-
-def einstein(name: str = "einstein_error") -> float:
-    """Root mean square error of published Einstein coefficients [%]."""
-    logs = [np.log1p(float(row[f"{name}_percent"]) / 100) for row in table("co2_levels")]
-    return 100 * float(np.sqrt(np.mean(np.square(logs))))
 
 
 def comparisons(found: Found) -> str:
@@ -200,7 +204,6 @@ def comparisons(found: Found) -> str:
         (case, code): max(float(row["error"]) for row in peers if (row["case"], row["code"]) == (case, code))
         for case, code in {(row["case"], row["code"]) for row in peers}
     }
-    spectra, water = table("h2o_windows"), "hot H₂O at {} cm⁻¹, 1000–2500 K, {}".format
     planck = {
         species: ", ".join(short(found.ratio[f"{species}, Planck mean, {kelvin} K"]) for kelvin in (1000, 1500, 2000))
         for species in ("h2o", "co2")
@@ -213,7 +216,7 @@ def comparisons(found: Found) -> str:
             f"**{short(found.ratio[TORCH + 'lines'])}**, see above",
             run("validation"),
         ),
-        ("torch, NO", "the same", short(found.ratio["torch, NO at 4.96-5.20 um"]), run("validation")),
+        ("torch, NO", "the same", short(found.ratio[NO]), run("validation")),
         (
             "1600 N motor, side view",
             "spectral intensity read off a figure (Avital et al. 2001)",
@@ -242,17 +245,17 @@ def comparisons(found: Found) -> str:
         ),
         *(
             (
-                water(window.replace("-", "–"), "Planck mean of the tables of 1973"),
+                f"hot H₂O at {window.replace('-', '–')} cm⁻¹, 1000–2500 K, Planck mean of the tables of 1973",
                 "EM2C's parameters of 2012, from HITEMP",
                 ", ".join(
                     short(float(row["ratio"]))
-                    for row in spectra
+                    for row in found.water
                     if row["window_cm-1"] == window and float(row["temperature_K"]) >= 1000
                 )
                 + "; replaced by them",
                 run("h2o_windows"),
             )
-            for window in dict.fromkeys(row["window_cm-1"] for row in spectra)
+            for window in dict.fromkeys(row["window_cm-1"] for row in found.water)
         ),
         (
             "partition function of ¹²C¹⁶O₂",
@@ -263,7 +266,7 @@ def comparisons(found: Found) -> str:
         (
             "levels and lines of CO₂",
             "HITRAN, CDSD-HITEMP",
-            f"{short(level)} cm⁻¹ rms (levels), {einstein():.1f} % rms (Einstein coefficients)",
+            f"{short(level)} cm⁻¹ rms (levels), {found.einstein():.1f} % rms (Einstein coefficients)",
             run("co2_levels"),
         ),
         (

@@ -5,7 +5,6 @@ from jaxir.imaging._chunks import Pass as Pass
 from jaxir.imaging._chunks import estimate_chunk as estimate_chunk
 from jaxir.imaging._chunks import first_pass as first_pass
 from jaxir.imaging._chunks import whole_image as whole_image
-from jaxir.imaging._devices import is_traced as is_traced
 from jaxir.imaging._devices import item_by_item as item_by_item
 from jaxir.imaging._devices import shared_by as shared_by
 from jaxir.imaging._faces import unoccluded_intensity as unoccluded_intensity

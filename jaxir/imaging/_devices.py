@@ -21,7 +21,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int
 from tqdm import tqdm
 
-from jaxir._arrays import placed
+from jaxir._arrays import is_traced, placed
 
 AXIS = "devices"
 
@@ -44,11 +44,6 @@ def shared_by(devices: Mesh | None, items: int, what: str) -> Mesh | None:
     if devices.size > items:
         raise ValueError(f"devices: got {devices.size} devices for {items} {what}, expected at most one device each")
     return Mesh(devices.devices, (AXIS,))
-
-
-def is_traced(inputs: Any) -> bool:
-    """Whether any value is known only inside a transformation."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(inputs))
 
 
 def over_items(

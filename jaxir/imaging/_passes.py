@@ -11,7 +11,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
-from jaxir._arrays import key_or_default, placed
+from jaxir._arrays import is_traced, key_or_default, placed
 from jaxir.geometry import Camera, pixel_strata
 from jaxir.imaging._adaptive import Goal, Strata, adapted, with_strata
 from jaxir.imaging._chunks import (
@@ -24,7 +24,7 @@ from jaxir.imaging._chunks import (
     image_of_pixels,
     whole_image,
 )
-from jaxir.imaging._devices import is_traced, over_items, shared_by
+from jaxir.imaging._devices import over_items, shared_by
 from jaxir.imaging._image import Image, Outcome, joined, meets
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._pilot import well_shaped

@@ -10,10 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from jaxir._arrays import float_dtype, key_or_default, require
+from jaxir._arrays import float_dtype, is_traced, key_or_default, require
 from jaxir.geometry import AbstractSampler, Camera, Sobol, pixel_strata
 from jaxir.imaging._chunks import Pass, first_pass
-from jaxir.imaging._devices import is_traced
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene

@@ -6,11 +6,9 @@ import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float
 from jaxir.geometry import Camera
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Scene, on_nodes
@@ -45,21 +43,15 @@ def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera) -> Float[Array
         cameras: [view].
     """
     lit = on_nodes(scene, nodes)
-    grid = (np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), axis=-1).reshape(-1, 2) + 0.5) / SIDE
 
     def one(camera: Camera) -> Array:
-        half = camera.half_size()
         total = jnp.zeros(nodes.response.shape[0], camera.pixel.dtype)
         for plume, finer in refined(scene):
-            corners = camera.project(plume.extent())
-            low, high = (jnp.clip(end, -half, half) for end in (corners.min(axis=0), corners.max(axis=0)))
-            screen = low[None] + (high - low)[None] * as_float(grid)
+            screen, weight = camera.spread_over(plume.extent(), SIDE)
             rays = camera.bundle(screen, lit.scene.start(camera)).rays()
             paths = trace(lit.scene, rays, Method(direct=None, orders=0))
             change = evaluate(on_nodes(finer, nodes), paths) - evaluate(lit, paths)
-            slant = camera.slant(screen)
-            mean = nodes.in_band(change / slant[:, None] ** 2).mean(axis=0)
-            total = total + jnp.abs(mean) * jnp.prod(high - low)
+            total = total + jnp.abs(nodes.in_band(weight @ change))
         return SLOW * total
 
     return lax.map(one, cameras)

@@ -14,11 +14,11 @@ from jax import lax
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, Key
 
-from jaxir._arrays import as_float, enforce, key_or_default
+from jaxir._arrays import as_float, enforce, is_traced, key_or_default
 from jaxir.geometry import Camera, fitted_camera, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_eye, whole_image
-from jaxir.imaging._devices import is_traced, over_items, shared_by
+from jaxir.imaging._devices import over_items, shared_by
 from jaxir.imaging._left_out import Asked
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import require
+from jaxir._arrays import fingerprint, is_traced, require
 from jaxir._cache import keep, kept
 from jaxir.geometry import Rays
 from jaxir.optics.spectrum import (
@@ -21,7 +20,6 @@ from jaxir.optics.spectrum import (
     Band,
     Nodes,
     as_bands,
-    as_nodes,
     band_radiance,
     finer_nodes,
     gray_nodes,
@@ -68,15 +66,12 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
         return bands
     several = as_bands(bands)
     if not scene.has_spectrum and all(band.response is None for band in several):
-        return as_nodes(bands)
+        return gray_nodes(several)
     scene = jax.tree.map(_value, scene)
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
-        return resolved_nodes(bands, *UNKNOWN)
+    if is_traced(scene):
+        return resolved_nodes(several, *UNKNOWN)
     require(scene.checks())
-    leaves, structure = jax.tree.flatten(scene)
-    held = [np.asarray(leaf) for leaf in leaves]
-    values = b"".join(f"{value.dtype}{value.shape}".encode() + value.tobytes() for value in held)
-    asked = (structure, str(several), hashlib.sha256(values).digest())
+    asked = (jax.tree.structure(scene), str(several), fingerprint(scene))
     if asked not in _chosen:
         while len(_chosen) >= KEPT:
             del _chosen[next(iter(_chosen))]

@@ -13,17 +13,16 @@ Densities are those of the trace; scattering, T, phase, brdf and emission carry 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from jaxir._arrays import fingerprint, is_traced
 from jaxir._fields import by_band, over_nodes
 from jaxir._math import dot
 from jaxir.geometry import Rays
@@ -95,21 +94,18 @@ def with_scattered(lit: Lit, method: Method) -> Lit:
 
 def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
     """`_solved`, or what it found for the same values before."""
-    leaves, structure = jax.tree.flatten(asked)
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+    if is_traced(asked):
         return _solved(*asked)
-    key = hashlib.sha256(str(structure).encode())
-    for value in map(np.asarray, leaves):
-        key.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
-    found = _held.get(key.digest())
+    key = jax.tree.structure(asked), fingerprint(asked)
+    found = _held.get(key)
     if found is None:
         found = _solved(*asked)
         _held.clear()
-        _held[key.digest()] = found
+        _held[key] = found
     return found
 
 
-_held: dict[bytes, AbstractMedium] = {}
+_held: dict[tuple, AbstractMedium] = {}
 
 
 @eqx.filter_jit

@@ -17,12 +17,11 @@ from jax.experimental import multihost_utils
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
-from jaxir._arrays import as_float, key_or_default
+from jaxir._arrays import as_float, is_traced, key_or_default
 from jaxir.imaging import (
     COLUMNS,
     Signature,
     Views,
-    is_traced,
     item_by_item,
     prepare_views,
     remembering,

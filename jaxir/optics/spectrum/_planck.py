@@ -79,7 +79,7 @@ def band_radiance(
 
     Differentiable in temperature.
     """
-    nodes, hot = as_nodes(nodes), jnp.asarray(temperature)[..., None]
+    nodes, hot = as_nodes(nodes), temperature[..., None]
     lead = jnp.broadcast_to(nodes.edge[:, 0, 0], hot.shape[:-1] + (nodes.count,))
     rest = jnp.broadcast_to(nodes.edge[:, 0, 1], lead.shape)
     hot = jnp.broadcast_to(hot, lead.shape)

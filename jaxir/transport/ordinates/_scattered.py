@@ -147,7 +147,8 @@ class Scattered(AbstractMedium):
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
             point, even = rays.at(t), harmonics(-rays.direction, 0)
             extinction, _ = self.medium.coefficients(point)
-            return extinction, sum((part.read(point, even, part.lacking)[0] for part in self.parts), 0 * extinction)
+            each = (part.read(point, even, part.lacking)[0] for part in self.parts)
+            return extinction, functools.reduce(jnp.add, each)
 
         dark = jnp.zeros((rays.count, self.parts[0].lacking.shape[2]), rays.origin.dtype)
         return radiance_between(self.cuts(rays, far), rays, dark, coefficients)
@@ -368,20 +369,13 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     """
     if not isinstance(lit.medium, Scattered):
         return None
-    grid = (np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), axis=-1).reshape(-1, 2) + 0.5) / SIDE
-    half, start = camera.half_size(), lit.scene.start(camera)
-    edges = as_float(np.array(list(np.ndindex(2, 2, 2))))
-    missing = whole = jnp.zeros(lit.nodes.response.shape[0], camera.pixel.dtype)
+    start, edges = lit.scene.start(camera), as_float(np.array(list(np.ndindex(2, 2, 2))))
+    missing = whole = jnp.zeros(lit.nodes.count, camera.pixel.dtype)
     for part in lit.medium.parts:
-        corner = camera.project(part.medium.from_cube(edges))
-        low, high = (jnp.clip(end, -half, half) for end in (corner.min(axis=0), corner.max(axis=0)))
-        screen = low[None] + (high - low)[None] * as_float(grid)
+        screen, weight = camera.spread_over(part.medium.from_cube(edges), SIDE)
         rays = camera.bundle(screen, start).rays()
-        far, dark = jnp.full(rays.count, jnp.inf, low.dtype), jnp.zeros((rays.count, lit.nodes.count), low.dtype)
-        weight = (jnp.prod(high - low) / camera.slant(screen) ** 2)[:, None]
-        seen = lit.medium.radiance(rays, far, dark)
-        missing, whole = (
-            total + jnp.sum(lit.nodes.in_band(each * weight), axis=0)
-            for total, each in ((missing, lit.medium.lacking(rays)), (whole, seen))
-        )
+        far, dark = jnp.full(rays.count, jnp.inf, screen.dtype), jnp.zeros((rays.count, lit.nodes.count), screen.dtype)
+        missing = missing + weight @ lit.medium.lacking(rays)
+        whole = whole + weight @ lit.medium.radiance(rays, far, dark)
+    missing, whole = lit.nodes.in_band(missing), lit.nodes.in_band(whole)
     return missing / jnp.where(whole > 0, whole, 1)
