@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,9 @@ from jaxtyping import Array, Float
 from jaxir._arrays import as_float
 from jaxir.medium import AbstractScatterer
 from jaxir.transport._method import DiscreteOrdinates
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 FINER = 2  # points of the lattice that is read for each of that which is solved
 INSET = 1e-3  # of the cube's edges, by which the outer points lie inside
@@ -32,15 +35,20 @@ def lattice_of(medium: AbstractScatterer, ordinates: DiscreteOrdinates) -> Latti
 
 
 def _cubic(count: int) -> np.ndarray:
-    """Values between `count` even points from those at them [read, solved], by a cubic spline."""
-    return _spline(np.arange(count), np.arange(FINER * (count - 1) + 1) / FINER)
+    """What is read between `count` even points from values at them [read, solved], by a cubic spline.
+
+    Straight lines between values of a curve lie beside it by h^2 / 12 of its second derivative in the mean, h being
+    their length; they are drawn between values from which this is taken, so that sums along rays err less.
+    """
+    spline, place = _spline(np.arange(count)), np.arange(FINER * (count - 1) + 1) / FINER
+    return spline(place) - spline(place, nu=2) / (12 * FINER**2)
 
 
-def _spline(given: np.ndarray, asked: np.ndarray) -> np.ndarray:
-    """The matrix [asked, given] of a spline, cubic where there are points enough."""
+def _spline(given: np.ndarray) -> BSpline:
+    """The spline of each value [given] by itself, cubic where there are points enough."""
     from scipy.interpolate import make_interp_spline  # which takes long to import
 
-    return make_interp_spline(given, np.eye(len(given)), k=min(3, len(given) - 1))(asked)
+    return make_interp_spline(given, np.eye(len(given)), k=min(3, len(given) - 1))
 
 
 def places(counts: tuple[int, ...]) -> np.ndarray:
@@ -93,7 +101,7 @@ def unresolved(lattice: Lattice, table: Float[Array, "point harmonic node"]) -> 
     whole = mean = table[:, 0].reshape(*lattice.solved, -1)
     for axis, count in enumerate(lattice.solved):
         place = np.unique(np.append(np.arange(0, count, 2), count - 1))
-        spline = _spline(place, np.arange(count))
+        spline = _spline(place)(np.arange(count))
         half = jnp.take(whole, place, axis=axis)
         whole = jnp.moveaxis(jnp.tensordot(as_float(spline), half, axes=(1, axis)), 0, axis)
     apart = (jnp.abs(whole - mean) / 8).reshape(table.shape[0], 1, -1)

@@ -15,7 +15,7 @@ however often light is scattered. L is then known along every other ray by one i
 Of a forward lobe the share f = chi_(order + 1) is taken as not scattered (Wiscombe, "The delta-M method", J. Atmos.
 Sci. 34, 1977), and light of sources without extent is scattered once with the whole phase function (Nakajima and
 Tanaka, JQSRT 40, 1988). Between the lattice's points L_lm is interpolated by cubics, and the optical depth towards
-sources linearly on a lattice `FINER` times as fine.
+sources linearly on a lattice `FINER` times as fine. On their way to the lattice's points rays read it `STEPS` + 1 times.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from jaxir._math import safe_sqrt, sum_before
 from jaxir.geometry import Camera, Rays, degrees, harmonics, sphere_rule
 from jaxir.geometry.search import any_hit, closest_hit
 from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, merged_cuts, radiance_between
-from jaxir.optics import phi1
+from jaxir.optics import phi1, thinning
 from jaxir.scene import Lit
 from jaxir.scene.light import AbstractDeltaSource
 from jaxir.transport._method import DiscreteOrdinates
@@ -47,12 +47,13 @@ from jaxir.transport.ordinates._lattice import Between, Lattice, about, lattice_
 
 MORE = 3  # polar angles of the rule than the highest degree; one rule for all that arrives, or a furnace is none
 STEPS = 12  # points of a ray between the lattice's points, nearer to one another near its own
-MOST = 2**29  # numbers that transport may keep
+MOST = 2**30  # numbers that transport may keep
 CLOSE = {"float32": 1e-4, "float64": 1e-6}  # residual at which to end, as a share of the first term, of each node
 SOLVED = 1e-2  # residual of a solution at most
 THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 MOST_STEPS = 200
+SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
 SIDE = 24  # of the grid of rays on which an image's error is found
 
 
@@ -130,7 +131,9 @@ class Scattered(AbstractMedium):
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
     ) -> Float[Array, "ray node"]:
         """See `AbstractMedium.radiance`, of emission and scattered light."""
+        return self._between(self.cuts(rays, t_max), rays, behind)
 
+    def _between(self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array) -> Float[Array, "ray node"]:
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
             point, toward = rays.at(t), harmonics(-rays.direction, self.order)
             extinction, source = self.medium.coefficients(point)
@@ -138,20 +141,30 @@ class Scattered(AbstractMedium):
                 source = source + part.source(point, rays.direction, toward)
             return extinction, source
 
-        return radiance_between(self.cuts(rays, t_max), rays, behind, coefficients)
+        return radiance_between(cuts, rays, behind, coefficients)
 
-    def lacking(self, rays: Rays) -> Float[Array, "ray node"]:
-        """What `radiance` may lack for the lattice's coarseness, as `unresolved` sees it."""
-        far = jnp.full(rays.count, jnp.inf, rays.origin.dtype)
+    def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], Float[Array, "ray node"]]:
+        """Radiance of the plumes alone [ray, node], and what it may lack [ray, node].
+
+        That is what `unresolved` sees for the lattice's coarseness, the harmonics of highest degree for what lies
+        beyond them, and `SLOW` times what changes as every piece of a ray between cuts is halved.
+        """
+        cuts = self.cuts(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
+        dark = jnp.zeros((rays.count, self.parts[0].lacking.shape[2]), rays.origin.dtype)
+        last = jnp.asarray(degrees(self.order) == self.order, dark.dtype)
 
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
-            point, even = rays.at(t), harmonics(-rays.direction, 0)
-            extinction, _ = self.medium.coefficients(point)
-            each = (part.read(point, even, part.lacking)[0] for part in self.parts)
-            return extinction, functools.reduce(jnp.add, each)
+            point, toward = rays.at(t), harmonics(-rays.direction, self.order)
+            extinction, missing = self.medium.coefficients(point)[0], jnp.zeros_like(dark)
+            for part in self.parts:
+                missing = missing + part.read(point, toward[:, :1], part.lacking)[0]
+                missing = missing + jnp.abs(part.read(point, toward * last[None], part.moments)[0])
+            return extinction, missing
 
-        dark = jnp.zeros((rays.count, self.parts[0].lacking.shape[2]), rays.origin.dtype)
-        return radiance_between(self.cuts(rays, far), rays, dark, coefficients)
+        whole = self._between(cuts, rays, dark)
+        halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
+        finer = self._between(jnp.concatenate([halved, cuts[:, -1:]], axis=1), rays, dark)
+        return finer, SLOW * jnp.abs(finer - whole) + radiance_between(cuts, rays, dark, coefficients)
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`; what is scattered forward passes."""
@@ -217,7 +230,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     sizes = [math.prod(lattice.solved) for lattice in lattices]
     point = jnp.concatenate([p.from_cube(as_float(places(x.solved))) for p, x in zip(parts, lattices, strict=True)])
     direction, weight = (as_float(x) for x in sphere_rule(order + MORE))
-    need = len(direction) * sum(sizes) * STEPS * nodes * len(parts) ** 2
+    need = len(direction) * sum(sizes) * (STEPS + 1) * nodes * len(parts) ** 2
     if need > MOST:
         raise ValueError(
             f"DiscreteOrdinates: got {need:.2g} numbers to keep, expected at most {MOST:.2g}; take fewer points "
@@ -314,18 +327,29 @@ def _length(lit: Lit, rays: Rays) -> Float[Array, " ray"]:
 def _ahead(
     medium: AbstractMedium, parts: list[tuple[AbstractScatterer, Lattice]], rays: Rays, length: Array
 ) -> list[tuple[Between, Array]]:
-    """How rays from the lattice's points read what is scattered on their way: where, and with which weight."""
+    """How rays from the lattice's points read what is scattered on their way: where, and with which weight.
+
+    In each step the medium is as in its middle, and light goes linearly from one end to the other.
+    """
     share = as_float((np.arange(STEPS + 1) / STEPS) ** 2)
     cuts = [part.cuts(rays, length) for part, _ in parts]
     edge = merged_cuts([own[:, :1] + (own[:, -1:] - own[:, :1]) * share[None] for own in cuts])
-    step, middle = jnp.diff(edge, axis=1), (edge[:, 1:] + edge[:, :-1]) / 2
-    at = (rays.origin[:, None] + middle[..., None] * rays.direction[:, None]).reshape(-1, 3)
-    layer = medium.coefficients(at)[0].reshape(*step.shape, -1) * step[..., None]
-    sent = jnp.exp(-sum_before(layer, 1)) * phi1(layer) * step[..., None]
-    return [
-        (about(lattice.read, part.to_cube(at)), sent * part.scattering_at(at).reshape(sent.shape))
-        for part, lattice in parts
-    ]
+    step = jnp.diff(edge, axis=1)
+
+    def points(t: Array) -> Array:
+        return (rays.origin[:, None] + t[..., None] * rays.direction[:, None]).reshape(-1, 3)
+
+    middle, ends = points((edge[:, 1:] + edge[:, :-1]) / 2), points(edge)
+    layer = medium.coefficients(middle)[0].reshape(*step.shape, -1) * step[..., None]
+    before, at_end = jnp.exp(-sum_before(layer, 1)) * step[..., None], thinning(layer)
+    sent = jnp.stack([before * (phi1(layer) - at_end), before * at_end])
+
+    def weights(part: AbstractScatterer) -> Array:
+        near, far = sent * part.scattering_at(middle).reshape(layer.shape)[None]
+        none = jnp.zeros_like(near[:, :1])
+        return jnp.concatenate([near, none], axis=1) + jnp.concatenate([none, far], axis=1)
+
+    return [(about(lattice.read, part.to_cube(ends)), weights(part)) for part, lattice in parts]
 
 
 def _beam(lit: Lit, medium: AbstractMedium, part: AbstractScatterer, lattice: Lattice, source: Any) -> _Beam:
@@ -374,8 +398,7 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     for part in lit.medium.parts:
         screen, weight = camera.spread_over(part.medium.from_cube(edges), SIDE)
         rays = camera.bundle(screen, start).rays()
-        far, dark = jnp.full(rays.count, jnp.inf, screen.dtype), jnp.zeros((rays.count, lit.nodes.count), screen.dtype)
-        missing = missing + weight @ lit.medium.lacking(rays)
-        whole = whole + weight @ lit.medium.radiance(rays, far, dark)
+        own, lacking = lit.medium.lacking(rays)
+        missing, whole = missing + weight @ lacking, whole + weight @ own
     missing, whole = lit.nodes.in_band(missing), lit.nodes.in_band(whole)
     return missing / jnp.where(whole > 0, whole, 1)
