@@ -127,7 +127,7 @@ def bounced(lit: Lit, paths: Paths, least: int) -> Float[Array, "bounce ray node
     dark = jnp.zeros((paths.method.bounces + 1 - least, paths.length.shape[0], lit.nodes.count), paths.length.dtype)
     asked = jnp.arange(least, paths.method.bounces + 1, dtype=jnp.int32)
 
-    def added(sums: Array, part: Array, segment: Segment, index: Array) -> Array:
+    def added(sums: Array, part: Array, segment: Segment, index: Array, _: int) -> Array:
         before = (
             index if segment.scattering is None else index - segment.scattering.before
         )  # they go on from one of both
@@ -144,18 +144,21 @@ def _along_paths(lit: Lit, paths: Paths) -> Orders:
         radiance = _brings(lit, paths, paths.first, True, True)
         return Orders(radiance, radiance if method.samples_particles(lit.scene) else dark, dark)
 
-    def added(sums: Orders, part: Array, segment: Segment, index: Array) -> Orders:
+    def added(sums: Orders, part: Array, segment: Segment, index: Array, more: int) -> Orders:
         if segment.scattering is None:
             return sums._replace(radiance=sums.radiance + part)
-        before = segment.scattering.before
-        last, one_less = (jnp.where((before == method.orders - less)[:, None], part, 0) for less in (0, 1))
+        order = segment.scattering.before + more
+        last, one_less = (jnp.where((order == method.orders - less)[:, None], part, 0) for less in (0, 1))
         return Orders(sums.radiance + part, sums.last + last, sums.before + one_less)
 
     return _summed(lit, paths, Orders(dark, dark, dark), added)
 
 
-def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment, Array], T]) -> T:
-    """Sums over the segments of paths of what each brings, which `added` adds to them."""
+def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment, Array, int], T]) -> T:
+    """Sums over the segments of paths of what each brings, which `added` adds to them.
+
+    It is told how often that was scattered beside what paths were before the segment: direct light at a particle, once.
+    """
     method, count = paths.method, paths.method.segments()
     one = jnp.ones((paths.length.shape[0], lit.nodes.count), paths.length.dtype)
 
@@ -163,9 +166,10 @@ def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment,
         (sums, throughput), (segment, index) = state, own
         brought = _brings(lit, paths, segment, index == 0, index == count - 1)
         passed, event = _event(lit, segment)
+        sums = added(sums, throughput * brought, segment, index, 0)
         if segment.scattering is not None:
-            brought = brought + event * _direct_at_particles(lit, method, segment, segment.scattering)
-        sums = added(sums, throughput * brought, segment, index)
+            direct = _direct_at_particles(lit, method, segment, segment.scattering)
+            sums = added(sums, throughput * event * direct, segment, index, 1)
         return (sums, throughput * _onward(lit, segment, passed, event)), None
 
     return lax.scan(step, (sums, one), (paths.segments, jnp.arange(count, dtype=jnp.int32)))[0][0]

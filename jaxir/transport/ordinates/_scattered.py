@@ -155,7 +155,8 @@ class Scattered(AbstractMedium):
 
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
             point, toward = rays.at(t), harmonics(-rays.direction, self.order)
-            extinction, missing = self.medium.coefficients(point)[0], jnp.zeros_like(dark)
+            extinction, _ = self.medium.coefficients(point)
+            missing = jnp.zeros_like(extinction)
             for part in self.parts:
                 missing = missing + part.read(point, toward[:, :1], part.lacking)[0]
                 missing = missing + jnp.abs(part.read(point, toward * last[None], part.moments)[0])
