@@ -1,8 +1,9 @@
 """What does each way of finding light that particles scatter cost, and where does it fail?
 
 A warm jet with gray particles beside a hot plate under the sun, over the optical depth of scattering across its nozzle,
-the albedo and the asymmetry of Henyey and Greenstein's phase function, seen from the side and from ahead, the plate edge-on. Each way is
-compared with long forced collision, and with what it tells of its own error: standard error and truncation.
+the albedo and the asymmetry of Henyey and Greenstein's phase function, seen from the side and from ahead, the plate
+edge-on. Each way is compared with long forced collision, and with what it tells of its own error: standard error and
+truncation.
 """
 
 import argparse
@@ -15,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 import jaxir
-from jaxir import DiscreteOrdinates, Method
+from jaxir import DiscreteOrdinates, Method, SkinLight
 from studies._study import Run, study, subplots
 
 DEPTHS = (0.1, 1.0, 5.0, 20.0, 50.0)
@@ -26,8 +27,8 @@ ASPECTS = ((90.0, 0.0), (20.0, 0.0))  # the plate edge-on
 DIAMETER = 0.5
 SHAPE = (24, 48)
 WAYS = {
-    "once": (Method(orders=1), 64),
-    "10 orders": (Method(orders=10), 64),
+    "once": (Method(orders=1, skin_light=SkinLight()), 64),
+    "10 orders": (Method(orders=10, skin_light=SkinLight()), 64),
     "lattice 13 x 5": (Method(scattering=DiscreteOrdinates(13, 5)), 2),
     "lattice 25 x 7": (Method(scattering=DiscreteOrdinates()), 2),
     "lattice 41 x 9, order 5": (Method(scattering=DiscreteOrdinates(41, 9, 5)), 2),
@@ -86,3 +87,128 @@ def plume_alone(case: Case, method: Method, samples: int, key: int = 0, warmer: 
         method=method,
         key=jax.random.key(key),
     )
+
+
+def orders_for(case: Case) -> int:
+    """So many that little is left beyond them; few numbers of them, for each is a program of its own."""
+    if case.albedo < 0.5 or case.depth < 0.5:
+        return 12
+    if case.depth < 2:
+        return 30
+    return 80 if case.albedo < 1 else 150
+
+
+def reference(case: Case, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Long forced collision: intensity [view], its standard error and what is left beyond the last order [view]."""
+    method = Method(orders=orders_for(case), skin_light=SkinLight())
+    passes, begin = [], time.perf_counter()
+    while True:
+        found = plume_alone(case, method, 4, 100 + len(passes))
+        passes.append([np.asarray(x, float)[:, 0] for x in (found.intensity, found.truncation)])
+        value = np.array([intensity for intensity, _ in passes])
+        mean = value.mean(axis=0)
+        error = value.std(axis=0, ddof=1) / np.sqrt(len(value)) if len(value) > 2 else np.full(2, np.inf)
+        if np.all(error < CLOSE * mean) or (time.perf_counter() - begin > seconds and len(value) > 7):
+            return mean, error, np.median([left for _, left in passes], axis=0) * mean
+
+
+def measured(case: Case, method: Method, samples: int, compile_first: bool) -> tuple[jaxir.Signature, float]:
+    """A signature, and its seconds without compilation; of a scene that was not solved for before."""
+    if compile_first:
+        plume_alone(case, method, samples, 1, warmer=0.01)
+    begin = time.perf_counter()
+    found = plume_alone(case, method, samples, 2)
+    jax.block_until_ready(found.intensity)
+    return found, time.perf_counter() - begin
+
+
+def rows_of(case: Case, seconds: float, compiled: list[str]) -> Iterator[dict]:
+    mean, error, left = reference(case, seconds)
+    for way, (method, samples) in WAYS.items():
+        try:
+            found, taken = measured(case, method, samples, way not in compiled)
+            compiled.append(way)
+            value, deviation, share = (
+                np.asarray(x, float)[:, 0] for x in (found.intensity, found.standard_error, found.truncation)
+            )
+            refused = ""
+        except ValueError as reason:
+            value = deviation = share = np.full(2, np.nan)
+            taken, refused = np.nan, str(reason).split(":")[1].strip()
+        for view, (azimuth, _) in enumerate(ASPECTS):
+            known = left[view] < LEFT * mean[view]
+            yield {
+                **case._asdict(),
+                "azimuth_deg": azimuth,
+                "way": way,
+                "seconds": taken,
+                "error_percent": 100 * (value[view] / mean[view] - 1) if known else np.nan,
+                "told_percent": 100 * (deviation[view] + share[view] * value[view]) / mean[view],
+                "reference_percent": 100 * (error[view] + left[view]) / mean[view],
+                "refused": refused,
+            }
+
+
+def honest(row: dict) -> bool:
+    """Whether the truth may lie within twice what was told, three standard errors of the reference aside."""
+    return abs(row["error_percent"]) <= 2 * row["told_percent"] + 3 * row["reference_percent"]
+
+
+def chart(run: Run, rows: list[dict]) -> None:
+    """Error over depth for every albedo and asymmetry, and error over time."""
+    figure, axes = subplots(len(ALBEDOS), len(ASYMMETRIES) + 1, figsize=(13, 8))
+    colours = {way: f"C{index}" for index, way in enumerate(WAYS)}
+    floor = 0.02  # [%]
+    for across, albedo in zip(axes, ALBEDOS, strict=True):
+        for axis, asymmetry in zip(across, ASYMMETRIES, strict=False):
+            own = [row for row in rows if (row["albedo"], row["asymmetry"]) == (albedo, asymmetry)]
+            for way, colour in colours.items():
+                found = [(r["depth"], r["error_percent"]) for r in own if r["way"] == way]
+                depth = sorted({at for at, _ in found})
+                worst = [max(max(abs(e) for at, e in found if at == d), floor) for d in depth]
+                axis.loglog(depth, worst, "o-", color=colour, label=way)
+            noise = {r["depth"]: r["reference_percent"] for r in own}
+            axis.fill_between(list(noise), floor, [max(x, floor) for x in noise.values()], color="0.85", zorder=0)
+            axis.set(title=f"albedo {albedo:g}, g = {asymmetry:g}", ylim=(floor, 150))
+        axis = across[-1]
+        for way, colour in colours.items():
+            own = [r for r in rows if r["way"] == way and r["albedo"] == albedo]
+            axis.loglog(
+                [r["seconds"] for r in own], [max(abs(r["error_percent"]), floor) for r in own], ".", color=colour
+            )
+        axis.set(title=f"albedo {albedo:g}, all", ylim=(floor, 150))
+    for axis in axes[-1][:-1]:
+        axis.set_xlabel("optical depth of scattering across the nozzle")
+    axes[-1][-1].set_xlabel("seconds for two views, warm")
+    for across in axes:
+        across[0].set_ylabel("error [%], worse of two views")
+    axes[0][0].legend(fontsize=7)
+    run.chart(figure)
+
+
+def main(run: Run) -> str:
+    chosen, compiled = list(cases())[:: run.options.every], []
+    rows = [row for case in tqdm(chosen, "cases") for row in rows_of(case, run.options.seconds, compiled)]
+    run.table(rows)
+    chart(run, rows)
+    parts = []
+    for way in WAYS:
+        own = [row for row in rows if row["way"] == way]
+        met = [row for row in own if np.isfinite(row["error_percent"])]
+        error = np.abs([row["error_percent"] for row in met])
+        told, refused = sum(honest(row) for row in met), sum(bool(row["refused"]) for row in own)
+        seconds = np.nanmedian([row["seconds"] for row in own])
+        parts.append(
+            f"{way}: {np.median(error):.2g} % (worst {error.max():.2g} %) in {seconds:.2g} s, "
+            f"told in {told} of {len(met)}, refused {refused} of {len(own)}"
+        )
+    return "; ".join(parts)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=float, default=30.0, help="for a reference (%(default)s)")
+    parser.add_argument("--every", type=int, default=1, help="take every so many cases only (%(default)s)")
+
+
+if __name__ == "__main__":
+    study(main, options)

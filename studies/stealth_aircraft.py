@@ -29,6 +29,8 @@ from studies import aircraft
 from studies._study import Run, study, subplots
 
 Scenes = dict[str, jaxir.Scene]
+MOST_RAYS = 128  # of a pixel of a signature
+KEPT = ("azimuth", "elevation", "intensity", "standard_error", "bands", "truncation")  # of a signature
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
 SUN_SURFACE = 5772.0  # effective temperature, which spreads the sun's light over SWIR [K]
 
@@ -61,6 +63,7 @@ class Effort:
     samples: int  # rays per pixel of an image
     bins: tuple[float, int, int]  # width [cm-1], quantiles, quantiles per gas where two overlap
     depth: int  # largest number of reflections; 10 in Table 3
+    error: float  # standard error of an intensity at most, as a share of it
 
     @property
     def method(self) -> jaxir.Method:
@@ -68,8 +71,8 @@ class Effort:
         return jaxir.Method(bounces=self.depth, scattering=jaxir.DiscreteOrdinates(along=41, across=9))
 
 
-FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10)
-QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6)
+FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10, error=0.02)
+QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6, error=0.1)
 
 
 def exhaust(given: Conditions) -> tuple[jaxir.NarrowBandGas, float]:
@@ -170,13 +173,7 @@ def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, folder: Path | 
     views = circles(effort.step)
     tables: Tables = {}
     for name, scene in made.items():
-        asked = (scene, np.concatenate(list(views.values())), each_node(nodes))
-        how = {
-            "distance": 5_000.0,
-            "shape": (effort.view // 2, effort.view),
-            "method": effort.method,
-        }
-        vacuum = jaxir.signature(*asked, **how) if folder is None else sweep(folder / name, *asked, **how)
+        vacuum = close(scene, np.concatenate(list(views.values())), nodes, effort, folder and folder / name)
         for place in PLACES:
             whole, begin = through_air(vacuum, nodes, place), 0
             for axis, aspects in views.items():
@@ -191,6 +188,26 @@ def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, folder: Path | 
                 )
                 begin += len(aspects)
     return tables
+
+
+def close(
+    scene: jaxir.Scene, aspects: np.ndarray, nodes: jaxir.Nodes, effort: Effort, folder: Path | None
+) -> Signature:
+    """Intensities of nodes in vacuum; aspects whose error is too large are looked at again with four times the rays."""
+    how = {"distance": 5_000.0, "shape": (effort.view // 2, effort.view), "method": effort.method}
+    whole, left, rays = None, np.arange(len(aspects)), 2
+    while len(left):
+        asked = scene, aspects[left], each_node(nodes)
+        own = {**how, "samples": rays, "key": jax.random.key(rays)}
+        found = jaxir.signature(*asked, **own) if folder is None else sweep(Path(f"{folder}_{rays}"), *asked, **own)
+        found = Signature(*(getattr(found, field) for field in KEPT))
+        whole = found if whole is None else jax.tree.map(lambda all, some, at=left: all.at[at].set(some), whole, found)
+        tables = [through_air(found, nodes, place) for place in PLACES]
+        apart = np.max([np.asarray(table.standard_error / table.intensity) for table in tables], axis=(0, 2))
+        left = left[apart > effort.error] if rays < MOST_RAYS else left[:0]
+        rays *= 4
+    assert whole is not None
+    return whole
 
 
 def camera_at(place: str, pixels: int) -> jaxir.Camera:

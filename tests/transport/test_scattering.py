@@ -283,8 +283,16 @@ def test_a_jet_scatters_as_its_cells_do():
 # What is left out, and what is refused --------------------------------------------------------------------------------
 
 
-def test_truncation_is_what_more_orders_add():
-    scene = jaxir.Scene(plumes=furnace(0.5, 0.9, 0.0).plume)
+def in_the_sun():
+    """A cold jet, whose light from the sun a path brings as the order after that of its last segment."""
+    particles = jaxir.GrayParticles(3.0, 1.0, jaxir.Isotropic())
+    jet = jaxir.JetPlume((0.5, 0, 0), (-1, 0, 0), 0.5, 251.0, 250.0, jaxir.GrayGas(0.0), length=2.0, particles=particles)
+    return jaxir.Scene(plumes=jet, sources=(jaxir.ParallelSource((0.0, 0.6, -0.8), 1e4),))
+
+
+@pytest.mark.parametrize("lit", [lambda: jaxir.Scene(plumes=furnace(0.5, 0.9, 0.0).plume), in_the_sun])
+def test_truncation_is_what_more_orders_add(lit):
+    scene = lit()
     camera = jaxir.orthographic_camera(30, 20, 0.3, (6, 6))
     few, many = (jaxir.render(scene, camera, NODES, samples=64, method=Method(orders=orders)) for orders in (3, 24))
     grown = float((many.radiant_intensity() / few.radiant_intensity() - 1)[0])
