@@ -27,8 +27,8 @@ ASPECTS = ((90.0, 0.0), (20.0, 0.0))  # the plate edge-on
 DIAMETER = 0.5
 SHAPE = (24, 48)
 WAYS = {
-    "once": (Method(orders=1, skin_light=SkinLight()), 64),
-    "10 orders": (Method(orders=10, skin_light=SkinLight()), 64),
+    "once": (Method(orders=1, skin_light=SkinLight()), 16),
+    "10 orders": (Method(orders=10, skin_light=SkinLight()), 16),
     "lattice 13 x 5": (Method(scattering=DiscreteOrdinates(13, 5)), 2),
     "lattice 25 x 7": (Method(scattering=DiscreteOrdinates()), 2),
     "lattice 41 x 9, order 5": (Method(scattering=DiscreteOrdinates(41, 9, 5)), 2),

@@ -42,16 +42,18 @@ def degrees(order: int) -> np.ndarray:
     return np.concatenate([np.full(2 * degree + 1, degree) for degree in range(order + 1)])
 
 
-def sphere_rule(polar: int) -> tuple[np.ndarray, np.ndarray]:
+def sphere_rule(degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Directions [direction, 3] and weights [direction] [sr] of an integral over the sphere.
 
-    Gauss-Legendre in the cosine of the polar angle, `polar` of them, times 2 `polar` azimuths in equal steps: exact
-    for harmonics up to the degree 2 `polar` - 1.
+    Gauss-Legendre in the cosine of the polar angle, on either side of 0 by itself, so that light may differ between
+    above and below as that at a flat body's surface does; times equal steps of azimuth. Exact for harmonics up to
+    `degree`.
     """
-    share, weight = gauss_legendre(polar)
-    cosine = 2 * share - 1
-    azimuth = (np.arange(2 * polar) + 0.5) * np.pi / polar
+    share, weight = gauss_legendre(degree // 2 + 1)
+    cosine, weight = np.concatenate([-share[::-1], share]), np.concatenate([weight[::-1], weight])
+    count = degree + 3
+    azimuth = (np.arange(count) + 0.5) * 2 * np.pi / count
     sine = np.sqrt(1 - cosine**2)
-    z = np.broadcast_to(cosine[:, None], (polar, 2 * polar))
+    z = np.broadcast_to(cosine[:, None], (len(cosine), count))
     direction = np.stack([sine[:, None] * np.cos(azimuth), sine[:, None] * np.sin(azimuth), z], axis=-1)
-    return direction.reshape(-1, 3), np.repeat(2 * weight * np.pi / polar, 2 * polar)
+    return direction.reshape(-1, 3), np.repeat(weight * 2 * np.pi / count, count)

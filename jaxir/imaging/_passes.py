@@ -31,7 +31,7 @@ from jaxir.imaging._pilot import well_shaped
 from jaxir.imaging._planning import FEW, plan_pass, require_rtol
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
-from jaxir.transport import Method
+from jaxir.transport import Method, with_scattered
 
 
 def render(
@@ -107,7 +107,8 @@ def render(
     samples = 8 if samples is None else samples
     if planned and rtol is not None:
         found = plan_pass(first._replace(components=None), rtol, max_samples, method is not None)
-        samples, first = found.samples, first._replace(method=found.method)
+        first = first._replace(method=found.method, lit=with_scattered(first.lit, found.method))
+        samples = found.samples
     first = first._replace(parts=PARTS if devices is None else max(PARTS, devices.size))
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 

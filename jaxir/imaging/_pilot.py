@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxir._arrays import placed
 from jaxir.imaging._chunks import Estimate, Pass, as_number, estimate_chunk
+from jaxir.imaging._image import truncated_share
 
 CHUNKS = 8  # of a pilot; all of a small image
 SECONDS = 2.0  # after which a pilot takes no more chunks
@@ -26,12 +27,15 @@ class Pilot(NamedTuple):
         variance: of it [band].
         seconds: without compiling.
         compile_seconds: until the first chunk was there.
+        truncation: share of the intensity beyond the last order of scattering [band], see `truncated_share`; 0 where
+            particles are not sampled.
     """
 
     intensity: np.ndarray
     variance: np.ndarray
     seconds: float
     compile_seconds: float
+    truncation: np.ndarray
 
 
 def pilot(taken: Pass) -> Pilot:
@@ -45,8 +49,9 @@ def pilot(taken: Pass) -> Pilot:
         sums.append(_contribution(taken, int(index), estimate))
         if sum(times) > SECONDS:
             break
-    intensity, variance = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
-    return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled)
+    intensity, variance, orders = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
+    left = np.asarray(truncated_share(orders, intensity)) if taken.method.orders else np.zeros_like(intensity)
+    return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled, left)
 
 
 def _timed(taken: Pass, chunk: np.int32) -> tuple[Estimate, float]:
@@ -56,12 +61,14 @@ def _timed(taken: Pass, chunk: np.int32) -> tuple[Estimate, float]:
     return estimate, time.perf_counter() - began
 
 
-def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
-    """Intensity of the pixels of one chunk and its variance [band]."""
+def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Intensity of the pixels of one chunk and its variance [band], and its last two orders of scattering [2, band]."""
     index = np.asarray(taken.camera.pixel_index(taken.tile(chunk)))
     area = np.append(np.asarray(taken.camera.pixel_area(), np.float64).ravel(), 0.0)[index][:, :, None]
     mean, variance, empty = (np.asarray(leaf, np.float64) for leaf in estimate[:3])
-    return ((mean - empty) * area).sum((0, 1)), (variance * area**2).sum((0, 1))
+    orders = np.zeros((1, 1, 2, mean.shape[-1])) if estimate.orders is None else np.asarray(estimate.orders, np.float64)
+    each = (mean - empty) * area, variance * area**2, orders * area[..., None]
+    return tuple(part.sum((0, 1)) for part in each)  # type: ignore[return-value]
 
 
 class ErrorLaw(NamedTuple):

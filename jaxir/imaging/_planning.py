@@ -3,25 +3,38 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from jaxir._arrays import float_dtype, is_traced, key_or_default, require
+from jaxir._arrays import enforce, float_dtype, is_traced, key_or_default, require
 from jaxir.geometry import AbstractSampler, Camera, Sobol, pixel_strata
 from jaxir.imaging._chunks import Pass, first_pass
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene
-from jaxir.transport import ClosedForm, DirectSampling, Method
+from jaxir.transport import (
+    ClosedForm,
+    DirectSampling,
+    DiscreteOrdinates,
+    Method,
+    lattice_error,
+    solution_checks,
+    with_scattered,
+)
 
 FEW = 2  # rays per pixel of the first pilots
 MORE = (12, 128)  # at least and at most, of the second
 LEAST_GROWTH = 0.25  # share of a pilot's time that its rays take at least: clocks are coarse, other work disturbs
 LEAST = 8  # units of the last place: a relative tolerance below is beyond the precision in force
+FEW_ORDERS = 2  # of scattering, tried first
+SOON = 2.0  # seconds of sampling for which no lattice is tried: it takes longer to solve
+LATTICES = (DiscreteOrdinates(), DiscreteOrdinates(41, 9))
 MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
 
 
@@ -47,9 +60,10 @@ class Plan(NamedTuple):
         method: what `render` is to take.
         samples: rays per pixel, in one pass.
         seconds: predicted, of the rays on the device in force; compiling and the call, some milliseconds, come on top.
-        compile_seconds: what compiling the chosen method's pilot took.
+        compile_seconds: what compiling the chosen method's pilot took, and solving for the light in plumes, once.
         rtol: asked.
         expected: predicted standard error over intensity, of the worst band.
+        truncation: estimated share of the intensity that is left out of what particles scatter, of the worst band.
     """
 
     terms: tuple[Term, ...]
@@ -59,6 +73,7 @@ class Plan(NamedTuple):
     compile_seconds: float
     rtol: float
     expected: float
+    truncation: float
 
     def __str__(self) -> str:
         """One sentence per term."""
@@ -91,7 +106,9 @@ def plan(
 
     What has no variance is chosen without trial: the exact sum over cells, delta sources. For reflected light, by a
     closed form where its conditions hold or sampled, every candidate computes a few chunks of the image; variance as
-    it falls with the rays (`ErrorLaw`), and time, as it grows with them, decide.
+    it falls with the rays (`ErrorLaw`), and time, as it grows with them, decide. So for light that particles scatter,
+    sampled up to few or more orders or solved on a coarse or finer lattice: among those that leave out less of the
+    intensity than `rtol`, if there are any.
 
     Args:
         scene: the scene.
@@ -99,7 +116,8 @@ def plan(
         bands: bands or nodes.
         rtol: standard error of the radiant intensity of every band over the intensity.
         key: random key of the pilots.
-        method: kept if given; else its `direct` and `sampler` are chosen, where the scene has sources with an extent.
+        method: kept if given; else its `direct` and `sampler` are chosen, where the scene has sources with an extent,
+            or else, where it has particles, `orders` or `scattering`.
         max_samples: rays per pixel that must suffice.
 
     Returns:
@@ -118,24 +136,76 @@ def plan(
 
 def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> Plan:
     """`plan` for a pass of `FEW` rays per pixel that was checked; `asked`: its method is not to be chosen."""
-    scene, given = first.lit.scene, first.method
-    methods = [given] if asked else _candidates(scene, given)
-    trials = [_Trial(method, pilot(first._replace(method=method))) for method in methods]
-    chosen = _cheapest(trials, first, rtol, most)
+    scene = first.lit.scene
+    if asked:
+        trials = [_trial(first)]
+    elif scene.scatters and not scene.area_sources:
+        trials = _ways_to_scatter(first, rtol, most)
+    else:
+        trials = [_trial(first._replace(method=method)) for method in _candidates(scene, first.method)]
+    chosen = _cheapest(trials, rtol, most)
+    trial = chosen.trial
     terms = (
         *_along_the_ray(first.lit, first.camera),
-        *_by_particles(scene, chosen.trial.method),
+        *_by_particles(scene, trials, chosen),
         *_at_the_skin(scene, trials, chosen, asked),
         *_beyond(scene),
         _pixels(chosen, rtol, most),
     )
-    trial = chosen.trial
-    return Plan(terms, trial.method, chosen.samples, chosen.seconds, trial.pilot.compile_seconds, rtol, chosen.expected)
+    ready = trial.pilot.compile_seconds + trial.solving
+    return Plan(terms, trial.method, chosen.samples, chosen.seconds, ready, rtol, chosen.expected, trial.truncation)
 
 
 class _Trial(NamedTuple):
-    method: Method
+    """One way to find light: a pass by it, what its pilot found, and what came before.
+
+    Attributes:
+        first: a pass of `FEW` rays per pixel.
+        pilot: of it.
+        truncation: share of the intensity that is left out of what particles scatter, of the worst band.
+        solving: seconds until the light in the plumes was solved for, which later images of the scene do not spend.
+    """
+
+    first: Pass
     pilot: Pilot
+    truncation: float
+    solving: float
+
+    @property
+    def method(self) -> Method:
+        return self.first.method
+
+    def law(self) -> ErrorLaw:
+        """As if all variance were that of lights."""
+        return ErrorLaw(self.pilot.variance * FEW, np.zeros_like(self.pilot.variance))
+
+
+def _trial(first: Pass, solving: float = 0.0) -> _Trial:
+    found, lattice = pilot(first), lattice_error(first.lit, first.camera)
+    return _Trial(first, found, float(np.max(found.truncation if lattice is None else lattice)), solving)
+
+
+def _ways_to_scatter(first: Pass, rtol: float, most: int) -> list[_Trial]:
+    """By rising orders, and if that is not soon done by finer lattices, until one leaves out no more than is asked."""
+    trials = []
+    for orders in sorted({min(FEW_ORDERS, first.method.orders), first.method.orders}):
+        trials.append(_trial(first._replace(method=dataclasses.replace(first.method, orders=orders))))
+        if trials[-1].truncation <= rtol:
+            choice = _choice(trials[-1], trials[-1].law(), 1 / FEW, rtol, most)
+            if choice.expected <= rtol and choice.seconds < SOON:
+                return trials
+            break
+    for ordinates in LATTICES:
+        method, began = dataclasses.replace(first.method, orders=0, scattering=ordinates), time.perf_counter()
+        try:
+            lit = with_scattered(first.lit, method)
+            lit = jax.block_until_ready(enforce(lit, solution_checks(lit)))
+        except ValueError:  # this lattice cannot hold the light, a finer one may
+            continue
+        trials.append(_trial(first._replace(method=method, lit=lit), time.perf_counter() - began))
+        if trials[-1].truncation <= rtol:
+            break
+    return trials
 
 
 class _Choice(NamedTuple):
@@ -170,16 +240,15 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
     return ways if scene.skin.brdf.diffuse else [*ways, by(DirectSampling(0, 1))]
 
 
-def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Choice:
+def _cheapest(trials: list[_Trial], rtol: float, most: int) -> _Choice:
     """First as if all variance were that of lights; then with the silhouettes' share, from a second pilot."""
-    some = [ErrorLaw(trial.pilot.variance * FEW, np.zeros_like(trial.pilot.variance)) for trial in trials]
-    choices = [_choice(trial, law, 1 / FEW, rtol, most) for trial, law in zip(trials, some, strict=True)]
+    choices = [_choice(trial, trial.law(), 1 / FEW, rtol, most) for trial in trials]
     best = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
     chosen = choices[best]
     if chosen.samples == FEW:
         return chosen
     count = well_shaped(min(max(chosen.samples // 4, MORE[0]), MORE[1]))[-1]
-    more = pilot(first._replace(method=trials[best].method, strata=pixel_strata(count)))
+    more = pilot(trials[best].first._replace(strata=pixel_strata(count)))
     edge = error_law((FEW, trials[best].pilot), (count, more)).edge
     little = trials[best].pilot.seconds
     each = (more.seconds - little) / (count - FEW)
@@ -197,9 +266,9 @@ def _cheapest(trials: list[_Trial], first: Pass, rtol: float, most: int) -> _Cho
     return _choice(trials[best], choices[best].law, growth, rtol, most)
 
 
-def _cost(choice: _Choice, rtol: float) -> tuple[bool, float]:
-    """Methods that meet the tolerance first, then by time."""
-    return choice.expected > rtol, choice.seconds
+def _cost(choice: _Choice, rtol: float) -> tuple[bool, float, float]:
+    """Methods that meet the tolerance first, then those that leave out no more than it or the least, then by time."""
+    return choice.expected > rtol, max(choice.trial.truncation, rtol), choice.seconds
 
 
 def _choice(trial: _Trial, law: ErrorLaw, growth: float, rtol: float, most: int) -> _Choice:
@@ -221,19 +290,25 @@ def _along_the_ray(lit: Lit, camera: Camera) -> list[Term]:
     return [Term("Plume", True, sentence)]
 
 
-def _by_particles(scene: Scene, method: Method) -> list[Term]:
+def _by_particles(scene: Scene, trials: list[_Trial], chosen: _Choice) -> list[Term]:
     if not scene.scatters:
         return []
     once = "parallel light scattered once is summed over the cells, " if scene.summed_beams else ""
+    method, left = chosen.trial.method, f"leaves out about {chosen.trial.truncation:.2g} of the intensity"
+    others = "; ".join(f"{_way(t.method)} would leave out {t.truncation:.2g}" for t in trials if t is not chosen.trial)
+    others = others and f" ({others})"
     if method.scattering is not None:
-        points = f"a lattice of {method.scattering.along} points along each plume"
-        return [Term("Particles", True, f"light scattered however often, solved on {points}; no sampling")]
+        return [Term("Particles", True, f"light scattered however often, by {_way(method)}, which {left}{others}")]
     if method.orders == 0:
         return [Term("Particles", True, f"{once}light scattered more often is left out, as asked")]
-    sentence = (
-        f"{once}the rest sampled by forced collision up to {method.orders} times; `Image.truncation` tells the rest"
-    )
-    return [Term("Particles", False, sentence)]
+    return [Term("Particles", False, f"{once}the rest by {_way(method)}, which {left}{others}")]
+
+
+def _way(method: Method) -> str:
+    """How what particles scatter is found."""
+    if method.scattering is None:
+        return f"forced collision up to {method.orders} times"
+    return f"a lattice of {method.scattering.along} x {method.scattering.across} points, without samples"
 
 
 def _depth(lit: Lit, camera: Camera) -> Array:

@@ -7,7 +7,7 @@ import pytest
 
 import jaxir
 from jaxir.geometry import pixel_strata
-from jaxir.imaging import ErrorLaw, Pilot, error_law, estimate_chunk, pilot, well_shaped, whole_image
+from jaxir.imaging import ErrorLaw, Pilot, _planning, error_law, estimate_chunk, pilot, well_shaped, whole_image
 from jaxir.imaging._chunks import as_number, first_pass
 from jaxir.imaging._devices import over_items
 from jaxir.imaging._pilot import OF_PILOTS
@@ -95,7 +95,7 @@ def test_a_pilot_of_all_chunks_is_the_image():
 
 def test_the_error_law_is_recovered_and_inverted():
     law = ErrorLaw(np.array([3.0, 0.0]), np.array([0.5, 2.0]))
-    pilots = [(n, Pilot(np.ones(2), law.variance(n), 1.0, 1.0)) for n in (2, 12)]
+    pilots = [(n, Pilot(np.ones(2), law.variance(n), 1.0, 1.0, np.zeros(2))) for n in (2, 12)]
     found = error_law(*pilots)
     np.testing.assert_allclose(found.noise, law.noise, atol=1e-12)
     np.testing.assert_allclose(found.edge, law.edge, rtol=1e-12)
@@ -104,7 +104,7 @@ def test_the_error_law_is_recovered_and_inverted():
     fewer = well_shaped(samples)[-2]
     assert (law.variance(samples) <= allowed).all() and (law.variance(fewer) > allowed).any()
     assert all(abs(np.subtract(*pixel_strata(count))) <= 1 for count in well_shaped(4096))
-    steep = error_law(*[(n, Pilot(np.ones(1), np.array([n**-3.0]), 1.0, 1.0)) for n in (2, 12)])
+    steep = error_law(*[(n, Pilot(np.ones(1), np.array([n**-3.0]), 1.0, 1.0, np.zeros(1))) for n in (2, 12)])
     assert (steep.noise >= 0).all() and (steep.edge >= 0).all()
 
 
@@ -120,3 +120,28 @@ def test_a_tolerance_out_of_reach_is_refused(entry):
         entry(*ask, 1e-17)
     with pytest.raises(ValueError, match="known only inside jit"):
         jax.jit(lambda t: jnp.asarray(entry(jaxir.Scene(plate(temperature=t)), *ask[1:], 0.1)))(300.0)
+
+
+def cloud(extinction):
+    """A warm cube of particles of albedo .95."""
+    grid = jaxir.Grid((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5), (2, 2, 2))
+    particles = jaxir.GrayParticles(extinction, 0.95, jaxir.Isotropic())
+    return jaxir.Scene(plumes=jaxir.GridPlume(grid, 600.0, jaxir.GrayGas(0.01), particles))
+
+
+def test_particles_get_orders_where_those_leave_out_little_and_else_a_lattice(monkeypatch):
+    """The image tells what the plan told."""
+    monkeypatch.setattr(_planning, "LATTICES", (jaxir.DiscreteOrdinates(7, 7, 1),))
+    monkeypatch.setattr(_planning, "FEW_ORDERS", 10)  # fewer are one program more
+    camera = jaxir.orthographic_camera(30.0, 20.0, 0.06, (16, 16))
+    thin = jaxir.plan(cloud(0.02), camera, jaxir.MWIR, 0.05)
+    assert thin.method.orders == 10 and thin.method.scattering is None and thin.truncation < 1e-3
+    image = jaxir.render(cloud(6.0), camera, jaxir.MWIR, rtol=0.05)
+    thick = image.asked.method
+    assert thick.scattering == jaxir.DiscreteOrdinates(7, 7, 1)
+    again = jaxir.plan(cloud(6.0), camera, jaxir.MWIR, 0.05)
+    assert again.method == thick
+    np.testing.assert_allclose(image.truncation[0], again.truncation, rtol=1e-4)
+    told = str(again).splitlines()[1]
+    assert told.startswith("Particles: light scattered however often, by a lattice of 7 x 7 points")
+    assert "forced collision up to 10 times would leave out" in told

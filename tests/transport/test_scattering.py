@@ -286,7 +286,9 @@ def test_a_jet_scatters_as_its_cells_do():
 def in_the_sun():
     """A cold jet, whose light from the sun a path brings as the order after that of its last segment."""
     particles = jaxir.GrayParticles(3.0, 1.0, jaxir.Isotropic())
-    jet = jaxir.JetPlume((0.5, 0, 0), (-1, 0, 0), 0.5, 251.0, 250.0, jaxir.GrayGas(0.0), length=2.0, particles=particles)
+    jet = jaxir.JetPlume(
+        (0.5, 0, 0), (-1, 0, 0), 0.5, 251.0, 250.0, jaxir.GrayGas(0.0), length=2.0, particles=particles
+    )
     return jaxir.Scene(plumes=jet, sources=(jaxir.ParallelSource((0.0, 0.6, -0.8), 1e4),))
 
 

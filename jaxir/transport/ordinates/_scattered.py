@@ -45,7 +45,6 @@ from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._krylov import solved
 from jaxir.transport.ordinates._lattice import Between, Lattice, about, lattice_of, places, refined, unresolved
 
-MORE = 3  # polar angles of the rule than the highest degree; one rule for all that arrives, or a furnace is none
 STEPS = 12  # points of a ray between the lattice's points, nearer to one another near its own
 MOST = 2**30  # numbers that transport may keep
 CLOSE = {"float32": 1e-4, "float64": 1e-6}  # residual at which to end, as a share of the first term, of each node
@@ -230,7 +229,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     parts, lattices = medium.parts_with_particles, [lattice_of(p, ordinates) for p in medium.parts_with_particles]
     sizes = [math.prod(lattice.solved) for lattice in lattices]
     point = jnp.concatenate([p.from_cube(as_float(places(x.solved))) for p, x in zip(parts, lattices, strict=True)])
-    direction, weight = (as_float(x) for x in sphere_rule(order + MORE))
+    direction, weight = (as_float(x) for x in sphere_rule(2 * order))
     need = len(direction) * sum(sizes) * (STEPS + 1) * nodes * len(parts) ** 2
     if need > MOST:
         raise ValueError(
