@@ -85,10 +85,10 @@ class DiscreteOrdinates(Physical):
     However often light is scattered: no order is left out, and images have no noise of it. What errs instead is the
     lattice, by about a per cent of the scattered light, and a jet's panels, by up to tens of per cent of what little it
     sends along its own axis. `Image.truncation` estimates both view by view, and an optical depth of scattering above 4
-    between points across a plume, or a lobe backward that the harmonics do not resolve, is refused. Shadows of the skin on
-    the plume are as sharp as the lattice, and what scattered light skin reflects back into the plume is left out. Costs
-    some 15 times along across^2 (2 order + 2) (2 order + 3) rays once for a scene, and a few times more for a ray than a plume
-    without particles.
+    between points across a plume, or a lobe backward that the harmonics do not resolve, is refused. Shadows of the skin
+    on the plume are as sharp as the lattice, and what scattered light skin reflects back into the plume is left out.
+    Costs some 15 times along across^2 (2 order + 2) (2 order + 3) rays once for a scene, and a few times more for a ray
+    than a plume without particles.
 
     Sources with an extent at a finite distance are not for it: sample (`Method.orders`).
 
