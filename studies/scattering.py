@@ -206,7 +206,7 @@ def main(run: Run) -> str:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=30.0, help="for a reference (%(default)s)")
+    parser.add_argument("--seconds", type=float, default=8.0, help="for a reference (%(default)s)")
     parser.add_argument("--every", type=int, default=1, help="take every so many cases only (%(default)s)")
 
 

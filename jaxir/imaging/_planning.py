@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -181,7 +182,7 @@ class _Trial(NamedTuple):
 
 
 def _trial(first: Pass, solving: float = 0.0) -> _Trial:
-    found, lattice = pilot(first), lattice_error(first.lit, first.camera)
+    found, lattice = pilot(first), eqx.filter_jit(lattice_error)(first.lit, first.camera)
     return _Trial(first, found, float(np.max(found.truncation if lattice is None else lattice)), solving)
 
 
