@@ -1,6 +1,6 @@
 """Scattered light without samples, by discrete ordinates."""
 
-from jaxir.transport.ordinates._scattered import Scattered as Scattered
-from jaxir.transport.ordinates._scattered import lattice_error as lattice_error
+from jaxir.transport.ordinates._medium import Scattered as Scattered
+from jaxir.transport.ordinates._medium import lattice_error as lattice_error
+from jaxir.transport.ordinates._medium import solution_checks as solution_checks
 from jaxir.transport.ordinates._scattered import scattered as scattered
-from jaxir.transport.ordinates._scattered import solution_checks as solution_checks

@@ -1,0 +1,205 @@
+"""A medium with the light that its particles scatter, once that is known on a lattice; and what it may lack."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxir._arrays import Check, as_float, on_host
+from jaxir.geometry import Camera, Rays, degrees, harmonics
+from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, radiance_between
+from jaxir.scene import Lit
+from jaxir.scene.light import AbstractDeltaSource
+from jaxir.transport.ordinates._collected import collected
+from jaxir.transport.ordinates._lattice import Between, about
+
+SOLVED = 1e-2  # residual of a solution at most
+THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
+LOBE = 0.2  # moment beyond the harmonics that is neglected at most
+SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
+SIDE = 24  # of the grid of rays on which an image's error is found
+
+
+class Beam(eqx.Module):
+    """A source without extent as seen from the points that are read: optical depth [point, node], and whether."""
+
+    source: AbstractDeltaSource
+    depth: Float[Array, "point node"]
+    seen: Float[Array, "point 1"]
+
+    def arriving(self, between: Between, point: Float[Array, "ray 3"]) -> tuple[Array, Array]:
+        """Irradiance [ray, node] [W m-2] and the direction towards the source [ray, 3]."""
+        omega, _ = jax.vmap(self.source.toward)(point)
+        passed = jnp.exp(-between.read(self.depth)) * between.read(self.seen)
+        return jax.vmap(self.source.beam)(point) * passed, omega
+
+
+class Part(eqx.Module):
+    """One of `AbstractMedium.parts_with_particles` and the light in it.
+
+    Attributes:
+        medium: without its forward lobe.
+        kept: share of scattering that is not forward [node].
+        moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
+        lacking: what `unresolved` says that their mean over all directions lacks [read, 1, node].
+        beams: of all sources without extent.
+    """
+
+    medium: AbstractScatterer
+    kept: Float[Array, " node"]
+    moments: Float[Array, "read harmonic node"]
+    lacking: Float[Array, "read 1 node"]
+    beams: tuple[Beam, ...]
+    counts: tuple[int, int, int] = eqx.field(static=True)
+
+    def read(self, point: Array, toward: Float[Array, "ray harmonic"], table: Array) -> tuple[Array, Between, Array]:
+        """Coefficients at points, with `toward` as harmonics and scattered [ray, node]; where that is; scattering."""
+        between, scattering = about(self.counts, self.medium.to_cube(point)), self.medium.scattering_at(point)
+        near = jnp.where(jnp.any(scattering > 0, axis=1, keepdims=True), between.share, 0)
+        return collected(between.point[:, None], near[:, None], scattering[:, None], toward, table), between, scattering
+
+    def source(self, point: Array, direction: Array, toward: Float[Array, "ray harmonic"]) -> Float[Array, "ray node"]:
+        """J of rays in `direction` at points [ray, node] [W m-3 sr-1]; `toward` are harmonics of where light goes."""
+        found, between, scattering = self.read(point, toward, self.moments)
+        phase = self.medium.lobe
+        assert phase is not None
+        for beam in self.beams:
+            irradiance, omega = beam.arriving(between, point)
+            lobe = jax.vmap(phase.eval)(jnp.sum(omega * direction, axis=-1))
+            found = found + scattering * lobe / self.kept[None] * irradiance
+        return found
+
+
+class Scattered(AbstractMedium):
+    """A medium with the light that its particles scatter, however often, as part of its emission.
+
+    Attributes:
+        medium: without forward lobes.
+        parts: what scatters in it.
+        order: highest degree of harmonics.
+        residual: what the solution lacks of the equation, as a share of its first term, at most.
+        step: largest optical depth of scattering between neighbours of the lattice on that of its axes on which it is
+            least: light leaves a long plume across, and along it little changes from one depth to the next.
+        backward: largest Legendre moment beyond the harmonics that is none of a forward lobe.
+    """
+
+    medium: AbstractMedium
+    parts: tuple[Part, ...]
+    order: int = eqx.field(static=True)
+    residual: Float[Array, ""]
+    step: Float[Array, ""]
+    backward: Float[Array, ""]
+
+    def radiance(
+        self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
+    ) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.radiance`, of emission and scattered light."""
+        return self._between(self.cuts(rays, t_max), rays, behind)
+
+    def _between(self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array) -> Float[Array, "ray node"]:
+        def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
+            point, toward = rays.at(t), harmonics(-rays.direction, self.order)
+            extinction, source = self.medium.coefficients(point)
+            for part in self.parts:
+                source = source + part.source(point, rays.direction, toward)
+            return extinction, source
+
+        return radiance_between(cuts, rays, behind, coefficients)
+
+    def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], Float[Array, "ray node"]]:
+        """Radiance of the plumes alone [ray, node], and what it may lack [ray, node].
+
+        That is what `unresolved` sees for the lattice's coarseness, the harmonics of highest degree for what lies
+        beyond them, and `SLOW` times what changes as every piece of a ray between cuts is halved.
+        """
+        cuts = self.cuts(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
+        dark = jnp.zeros((rays.count, self.parts[0].lacking.shape[2]), rays.origin.dtype)
+        last = jnp.asarray(degrees(self.order) == self.order, dark.dtype)
+
+        def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
+            point, toward = rays.at(t), harmonics(-rays.direction, self.order)
+            extinction, _ = self.medium.coefficients(point)
+            missing = jnp.zeros_like(extinction)
+            for part in self.parts:
+                missing = missing + part.read(point, toward[:, :1], part.lacking)[0]
+                missing = missing + jnp.abs(part.read(point, toward * last[None], part.moments)[0])
+            return extinction, missing
+
+        whole = self._between(cuts, rays, dark)
+        halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
+        finer = self._between(jnp.concatenate([halved, cuts[:, -1:]], axis=1), rays, dark)
+        return finer, SLOW * jnp.abs(finer - whole) + radiance_between(cuts, rays, dark, coefficients)
+
+    def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.transmittance`; what is scattered forward passes."""
+        return self.medium.transmittance(rays, t_max)
+
+    def scattering(self, point: Float[Array, "ray 3"], cosine: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+        """See `AbstractMedium.scattering`."""
+        return self.medium.scattering(point, cosine)
+
+    def cuts(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
+        """See `AbstractMedium.cuts`."""
+        return self.medium.cuts(rays, t_max)
+
+    def coefficients(self, point: Float[Array, "ray 3"]) -> tuple[Float[Array, "ray node"], Float[Array, "ray node"]]:
+        """See `AbstractMedium.coefficients`, without scattered light."""
+        return self.medium.coefficients(point)
+
+    def capsules(self) -> Capsules:
+        """See `AbstractMedium.capsules`."""
+        return self.medium.capsules()
+
+    @property
+    def scatters(self) -> bool:
+        """See `AbstractMedium.scatters`: by itself."""
+        return False
+
+    @property
+    def parts_with_particles(self) -> tuple[AbstractScatterer, ...]:
+        """See `AbstractMedium.parts_with_particles`: none that has not been dealt with."""
+        return ()
+
+    def brightened(self, factors: Any) -> AbstractMedium:
+        """See `AbstractMedium.brightened`: not of light that was solved for; what shines is dimmed before."""
+        raise NotImplementedError("Scattered: it was solved for all light together")
+
+    def less_forward(self, shares: Any) -> AbstractMedium:
+        """See `AbstractMedium.less_forward`."""
+        return self
+
+
+def solution_checks(lit: Lit) -> list[Check]:
+    """The light in the plumes was found, where it was solved for."""
+    if not isinstance(lit.medium, Scattered):
+        return []
+    _, step, backward, residual = on_host(lit.medium.step, lit.medium.backward, lit.medium.residual)
+    name, sample = "DiscreteOrdinates", "or sample what particles scatter"
+    return [
+        Check(f"{name}: optical depth between points", step, step <= THICK, f"<= {THICK}: more points, {sample}"),
+        Check(f"{name}: moment of a lobe backward", backward, backward <= LOBE, f"<= {LOBE}: more order, {sample}"),
+        Check(f"{name}: residual", residual, residual <= SOLVED, f"<= {SOLVED}, {sample}"),
+    ]
+
+
+def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
+    """Share of the intensity of plumes in a camera's image that the lattice lacks [band], see `Scattered.lacking`.
+
+    None where nothing was solved for. What is in front of plumes is not looked for.
+    """
+    if not isinstance(lit.medium, Scattered):
+        return None
+    start, edges = lit.scene.start(camera), as_float(np.array(list(np.ndindex(2, 2, 2))))
+    missing = whole = jnp.zeros(lit.nodes.count, camera.pixel.dtype)
+    for part in lit.medium.parts:
+        screen, weight = camera.spread_over(part.medium.from_cube(edges), SIDE)
+        rays = camera.bundle(screen, start).rays()
+        own, lacking = lit.medium.lacking(rays)
+        missing, whole = missing + weight @ lacking, whole + weight @ own
+    missing, whole = lit.nodes.in_band(missing), lit.nodes.in_band(whole)
+    return missing / jnp.where(whole > 0, whole, 1)
