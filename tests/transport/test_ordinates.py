@@ -184,6 +184,34 @@ def test_images_have_no_noise_of_it_and_tell_what_is_left():
     np.testing.assert_allclose(budget.truncation, images[0].truncation * images[0].radiant_intensity(), rtol=1e-6)
 
 
+def along_the_axis(panels):
+    """Radiance of rays straight up a jet, many optical depths long."""
+    particles = jaxir.GrayParticles(8.0, 0.99, jaxir.HenyeyGreenstein(0.5))
+    made = dataclasses.replace(jet(), gas=jaxir.GrayGas(0.05), particles=particles, panels=panels)
+    origin = jnp.asarray([[-40.0, 0.0, y] for y in (0.0, 0.1, 0.2, 0.3, 0.5)])
+    rays = jaxir.Rays(origin, jnp.broadcast_to(jnp.asarray([1.0, 0.0, 0.0]), origin.shape))
+    return look(jaxir.Scene(None, made), rays, Method(scattering=DiscreteOrdinates(25, 5, 1)))
+
+
+def test_light_along_a_jet_is_summed_where_it_comes_from():
+    """A core many optical depths long is one panel, and what shines out of it comes from its end."""
+    np.testing.assert_allclose(along_the_axis(2), along_the_axis(12), rtol=0.04)
+
+
+def test_what_harmonics_lack_is_told():
+    def seen(order):
+        method = Method(scattering=DiscreteOrdinates(13, 5, order))
+        aspects = [[90.0, 0.0], [180.0, 0.0]]
+        return jaxir.signature(
+            jaxir.Scene(None, jet()), aspects, [jaxir.MWIR], shape=(16, 32), samples=2, method=method
+        )
+
+    finest, rough = seen(5), seen(1)
+    apart = np.abs(np.asarray(rough.intensity / finest.intensity) - 1)
+    assert np.all(apart < np.asarray(rough.truncation))
+    assert np.all(apart > 1e-4)
+
+
 def test_what_it_is_not_for_is_refused():
     plume = box(1.0, 0.9, jaxir.Isotropic())
     disc = jaxir.DiscSource((0.0, 0.0, 5.0), (0.0, 0.0, -1.0), 1.0, 10.0)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, on_host
-from jaxir.geometry import Camera, Rays, degrees, harmonics
+from jaxir.geometry import Camera, Rays, harmonics
 from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, radiance_between
 from jaxir.scene import Lit
 from jaxir.scene.light import AbstractDeltaSource
@@ -22,6 +24,7 @@ SOLVED = 1e-2  # residual of a solution at most
 THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
+MORE = 8  # cuts of a ray where light that reaches it comes from
 SIDE = 24  # of the grid of rays on which an image's error is found
 
 
@@ -86,6 +89,7 @@ class Scattered(AbstractMedium):
         step: largest optical depth of scattering between neighbours of the lattice on that of its axes on which it is
             least: light leaves a long plume across, and along it little changes from one depth to the next.
         backward: largest Legendre moment beyond the harmonics that is none of a forward lobe.
+        rougher: the same with fewer harmonics and directions, to see what they do; None of that itself.
     """
 
     medium: AbstractMedium
@@ -94,12 +98,32 @@ class Scattered(AbstractMedium):
     residual: Float[Array, ""]
     step: Float[Array, ""]
     backward: Float[Array, ""]
+    rougher: Scattered | None = None
 
     def radiance(
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
     ) -> Float[Array, "ray node"]:
         """See `AbstractMedium.radiance`, of emission and scattered light."""
-        return self._between(self.cuts(rays, t_max), rays, behind)
+        return self._between(self._pieces(rays, t_max), rays, behind)
+
+    def _pieces(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
+        """`cuts` and `MORE` between them, from which on equal shares of a ray's light come.
+
+        The medium is smooth between its cuts, scattered light need not be: along a jet's core it fades with depth.
+        """
+        cuts = self.cuts(rays, t_max)
+
+        def across(passed: Array, piece: tuple[Array, Array]) -> tuple[Array, Array]:
+            middle, length = piece
+            left = passed * jnp.exp(-self.medium.coefficients(rays.at(middle))[0] * length[:, None])
+            return left, jnp.mean(left, axis=1)
+
+        whole = jnp.ones((rays.count, self.parts[0].lacking.shape[2]), cuts.dtype)
+        left = lax.scan(across, whole, (((cuts[:, 1:] + cuts[:, :-1]) / 2).T, jnp.diff(cuts).T))[1].T
+        left = jnp.concatenate([jnp.ones_like(left[:, :1]), left], axis=1)
+        wanted = 1 - as_float((np.arange(MORE) + 0.5) / MORE)[None] * (1 - left[:, -1:])
+        depth, at = (-jnp.log(jnp.maximum(x, jnp.finfo(x.dtype).tiny)) for x in (left, wanted))
+        return jnp.sort(jnp.concatenate([cuts, jax.vmap(jnp.interp)(at, depth, cuts)], axis=1), axis=1)
 
     def _between(self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array) -> Float[Array, "ray node"]:
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
@@ -111,29 +135,28 @@ class Scattered(AbstractMedium):
 
         return radiance_between(cuts, rays, behind, coefficients)
 
-    def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], Float[Array, "ray node"]]:
-        """Radiance of the plumes alone [ray, node], and what it may lack [ray, node].
+    def lacking(
+        self, rays: Rays
+    ) -> tuple[Float[Array, "ray node"], Float[Array, "ray node"], Float[Array, "ray node"]]:
+        """Radiance of the plumes alone [ray, node], that of fewer harmonics, and what else it may lack.
 
-        That is what `unresolved` sees for the lattice's coarseness, the harmonics of highest degree for what lies
-        beyond them, and `SLOW` times what changes as every piece of a ray between cuts is halved.
+        That is what `unresolved` sees for the lattice's coarseness, and `SLOW` times what changes as every piece of a
+        ray is halved.
         """
-        cuts = self.cuts(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
+        cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.parts[0].lacking.shape[2]), rays.origin.dtype)
-        last = jnp.asarray(degrees(self.order) == self.order, dark.dtype)
 
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
-            point, toward = rays.at(t), harmonics(-rays.direction, self.order)
+            point, toward = rays.at(t), harmonics(-rays.direction, 0)
             extinction, _ = self.medium.coefficients(point)
-            missing = jnp.zeros_like(extinction)
-            for part in self.parts:
-                missing = missing + part.read(point, toward[:, :1], part.lacking)[0]
-                missing = missing + jnp.abs(part.read(point, toward * last[None], part.moments)[0])
-            return extinction, missing
+            coarse = [part.read(point, toward, part.lacking)[0] for part in self.parts]
+            return extinction, functools.reduce(jnp.add, coarse)
 
         whole = self._between(cuts, rays, dark)
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         finer = self._between(jnp.concatenate([halved, cuts[:, -1:]], axis=1), rays, dark)
-        return finer, SLOW * jnp.abs(finer - whole) + radiance_between(cuts, rays, dark, coefficients)
+        missing = SLOW * jnp.abs(finer - whole) + radiance_between(cuts, rays, dark, coefficients)
+        return finer, whole if self.rougher is None else self.rougher._between(cuts, rays, dark), missing
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`; what is scattered forward passes."""
@@ -188,18 +211,18 @@ def solution_checks(lit: Lit) -> list[Check]:
 
 
 def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
-    """Share of the intensity of plumes in a camera's image that the lattice lacks [band], see `Scattered.lacking`.
+    """Share of the intensity of plumes in a camera's image that the lattice lacks [band].
 
-    None where nothing was solved for. What is in front of plumes is not looked for.
+    It is what `Scattered.lacking` sees, and what changed from fewer harmonics to those there are. None where nothing
+    was solved for. What is in front of plumes is not looked for.
     """
     if not isinstance(lit.medium, Scattered):
         return None
     start, edges = lit.scene.start(camera), as_float(np.array(list(np.ndindex(2, 2, 2))))
-    missing = whole = jnp.zeros(lit.nodes.count, camera.pixel.dtype)
+    found = jnp.zeros((3, lit.nodes.count), camera.pixel.dtype)
     for part in lit.medium.parts:
         screen, weight = camera.spread_over(part.medium.from_cube(edges), SIDE)
         rays = camera.bundle(screen, start).rays()
-        own, lacking = lit.medium.lacking(rays)
-        missing, whole = missing + weight @ lacking, whole + weight @ own
-    missing, whole = lit.nodes.in_band(missing), lit.nodes.in_band(whole)
-    return missing / jnp.where(whole > 0, whole, 1)
+        found = found + jnp.stack([weight @ radiance for radiance in lit.medium.lacking(rays)])
+    whole, rough, missing = (lit.nodes.in_band(each) for each in found)
+    return (missing + jnp.abs(whole - rough)) / jnp.where(whole > 0, whole, 1)

@@ -20,6 +20,7 @@ sources linearly on a lattice `FINER` times as fine. Rays to the lattice's point
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable
@@ -49,6 +50,7 @@ STEPS = 12  # points of a ray between the lattice's points, nearer to one anothe
 MOST = 2**30  # numbers that transport may keep
 CLOSE = {"float32": 1e-4, "float64": 1e-6}  # residual at which to end, as a share of the first term, of each node
 MOST_STEPS = 200
+FEWER = 2  # degrees of the solution that shows what harmonics do: one degree fewer changes parity, too
 
 
 def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays], Array]) -> Scattered:
@@ -67,8 +69,14 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
 
     Differentiable, in both modes, in all that `lit` is differentiable in: the equation's solution has its own rule.
     """
+    rougher = _solution(lit, ordinates, max(ordinates.order - FEWER, 0), arriving)
+    finer = _solution(lit, ordinates, ordinates.order, arriving)
+    return dataclasses.replace(finer, rougher=lax.stop_gradient(rougher))
+
+
+def _solution(lit: Lit, ordinates: DiscreteOrdinates, order: int, arriving: Callable[[Lit, Rays], Array]) -> Scattered:
     assert lit.medium is not None
-    order, nodes = ordinates.order, lit.nodes.count
+    nodes = lit.nodes.count
     moments = [_moments(part, order, nodes) for part in lit.medium.parts_with_particles]
     medium = lit.medium.less_forward([forward for forward, *_ in moments])
     lit = eqx.tree_at(lambda lit: lit.medium, lit, medium)
