@@ -161,6 +161,8 @@ def honest(row: dict) -> bool:
 
 def chart(run: Run, rows: list[dict]) -> None:
     """Error over depth for every albedo and asymmetry, and error over time."""
+    from matplotlib.ticker import NullFormatter
+
     figure, axes = subplots(len(ALBEDOS), len(ASYMMETRIES) + 1, figsize=(13, 8))
     colours = {way: f"C{index}" for index, way in enumerate(WAYS)}
     floor = 0.02  # [%]
@@ -182,12 +184,13 @@ def chart(run: Run, rows: list[dict]) -> None:
                 [r["seconds"] for r in own], [max(abs(r["error_percent"]), floor) for r in own], ".", color=colour
             )
         axis.set(title=f"albedo {albedo:g}, all", ylim=(floor, 150))
+        axis.xaxis.set_minor_formatter(NullFormatter())
     for axis in axes[-1][:-1]:
-        axis.set_xlabel("optical depth of scattering across the nozzle")
+        axis.set_xlabel("optical depth of scattering")
     axes[-1][-1].set_xlabel("seconds for two views, warm")
     for across in axes:
         across[0].set_ylabel("error [%], worse of two views")
-    axes[0][0].legend(fontsize=7)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=len(WAYS))
     run.chart(figure)
 
 
