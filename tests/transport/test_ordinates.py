@@ -184,10 +184,10 @@ def test_images_have_no_noise_of_it_and_tell_what_is_left():
     np.testing.assert_allclose(budget.truncation, images[0].truncation * images[0].radiant_intensity(), rtol=1e-6)
 
 
-def along_the_axis(panels):
+def along_the_axis(panels, albedo=0.99, absorption=0.05):
     """Radiance of rays straight up a jet, many optical depths long."""
-    particles = jaxir.GrayParticles(8.0, 0.99, jaxir.HenyeyGreenstein(0.5))
-    made = dataclasses.replace(jet(), gas=jaxir.GrayGas(0.05), particles=particles, panels=panels)
+    particles = jaxir.GrayParticles(8.0, albedo, jaxir.HenyeyGreenstein(0.5))
+    made = dataclasses.replace(jet(), gas=jaxir.GrayGas(absorption), particles=particles, panels=panels)
     origin = jnp.asarray([[-40.0, 0.0, y] for y in (0.0, 0.1, 0.2, 0.3, 0.5)])
     rays = jaxir.Rays(origin, jnp.broadcast_to(jnp.asarray([1.0, 0.0, 0.0]), origin.shape))
     return look(jaxir.Scene(None, made), rays, Method(scattering=DiscreteOrdinates(25, 5, 1)))
@@ -196,6 +196,14 @@ def along_the_axis(panels):
 def test_light_along_a_jet_is_summed_where_it_comes_from():
     """A core many optical depths long is one panel, and what shines out of it comes from its end."""
     np.testing.assert_allclose(along_the_axis(2), along_the_axis(12), rtol=0.04)
+
+
+def test_single_precision_solves_as_far_as_double():
+    """Where next to nothing is absorbed, what the equation lacks comes back a thousand times."""
+    single = along_the_axis(2, 1.0, 0.003)
+    with jax.enable_x64(True):
+        double = along_the_axis(2, 1.0, 0.003)
+    np.testing.assert_allclose(single, double, rtol=3e-4)
 
 
 def test_what_harmonics_lack_is_told():

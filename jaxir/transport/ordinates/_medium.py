@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -20,12 +20,12 @@ from jaxir.scene.light import AbstractDeltaSource
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._lattice import Between, about
 
-SOLVED = 1e-2  # residual of a solution at most
+SOLVED = 2e-5  # residual of a solution at most
 THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
 MORE = 8  # cuts of a ray where light that reaches it comes from
-SIDE = 24  # of the grid of rays on which an image's error is found
+SIDE = 16  # of the grid of rays on which an image's error is found
 
 
 class Beam(eqx.Module):
@@ -49,6 +49,7 @@ class Part(eqx.Module):
         medium: without its forward lobe.
         kept: share of scattering that is not forward [node].
         moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
+        rough: the same if there were fewer harmonics [read, few, node].
         lacking: what `unresolved` says that their mean over all directions lacks [read, 1, node].
         beams: of all sources without extent.
     """
@@ -56,6 +57,7 @@ class Part(eqx.Module):
     medium: AbstractScatterer
     kept: Float[Array, " node"]
     moments: Float[Array, "read harmonic node"]
+    rough: Float[Array, "read few node"]
     lacking: Float[Array, "read 1 node"]
     beams: tuple[Beam, ...]
     counts: tuple[int, int, int] = eqx.field(static=True)
@@ -66,16 +68,25 @@ class Part(eqx.Module):
         near = jnp.where(jnp.any(scattering > 0, axis=1, keepdims=True), between.share, 0)
         return collected(between.point[:, None], near[:, None], scattering[:, None], toward, table), between, scattering
 
-    def source(self, point: Array, direction: Array, toward: Float[Array, "ray harmonic"]) -> Float[Array, "ray node"]:
-        """J of rays in `direction` at points [ray, node] [W m-3 sr-1]; `toward` are harmonics of where light goes."""
-        found, between, scattering = self.read(point, toward, self.moments)
+    def source(self, point: Array, direction: Array, toward: Array, tables: Sequence[Array]) -> list[Array]:
+        """J of rays in `direction` at points [ray, node] [W m-3 sr-1] by tables of moments.
+
+        Args:
+            point: points [ray, 3] [m].
+            direction: of the rays [ray, 3].
+            toward: harmonics of where light goes [ray, harmonic].
+            tables: moments [read, some, node], of the first of the harmonics.
+        """
+        read = [self.read(point, toward[:, : table.shape[1]], table) for table in tables]
+        _, between, scattering = read[0]
         phase = self.medium.lobe
         assert phase is not None
+        straight = jnp.zeros_like(scattering)
         for beam in self.beams:
             irradiance, omega = beam.arriving(between, point)
             lobe = jax.vmap(phase.eval)(jnp.sum(omega * direction, axis=-1))
-            found = found + scattering * lobe / self.kept[None] * irradiance
-        return found
+            straight = straight + scattering * lobe / self.kept[None] * irradiance
+        return [found + straight for found, *_ in read]
 
 
 class Scattered(AbstractMedium):
@@ -89,7 +100,6 @@ class Scattered(AbstractMedium):
         step: largest optical depth of scattering between neighbours of the lattice on that of its axes on which it is
             least: light leaves a long plume across, and along it little changes from one depth to the next.
         backward: largest Legendre moment beyond the harmonics that is none of a forward lobe.
-        rougher: the same with fewer harmonics and directions, to see what they do; None of that itself.
     """
 
     medium: AbstractMedium
@@ -98,7 +108,6 @@ class Scattered(AbstractMedium):
     residual: Float[Array, ""]
     step: Float[Array, ""]
     backward: Float[Array, ""]
-    rougher: Scattered | None = None
 
     def radiance(
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
@@ -130,7 +139,7 @@ class Scattered(AbstractMedium):
             point, toward = rays.at(t), harmonics(-rays.direction, self.order)
             extinction, source = self.medium.coefficients(point)
             for part in self.parts:
-                source = source + part.source(point, rays.direction, toward)
+                source = source + part.source(point, rays.direction, toward, [part.moments])[0]
             return extinction, source
 
         return radiance_between(cuts, rays, behind, coefficients)
@@ -147,16 +156,20 @@ class Scattered(AbstractMedium):
         dark = jnp.zeros((rays.count, self.parts[0].lacking.shape[2]), rays.origin.dtype)
 
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
-            point, toward = rays.at(t), harmonics(-rays.direction, 0)
-            extinction, _ = self.medium.coefficients(point)
-            coarse = [part.read(point, toward, part.lacking)[0] for part in self.parts]
-            return extinction, functools.reduce(jnp.add, coarse)
+            """Of all three side by side."""
+            point, toward = rays.at(t), harmonics(-rays.direction, self.order)
+            extinction, emission = self.medium.coefficients(point)
+            whole, rough, coarse = emission, emission, jnp.zeros_like(emission)
+            for part in self.parts:
+                found, few = part.source(point, rays.direction, toward, [part.moments, part.rough])
+                whole, rough = whole + found, rough + few
+                coarse = coarse + part.read(point, toward[:, :1], part.lacking)[0]
+            return jnp.tile(extinction, 3), jnp.concatenate([whole, rough, coarse], axis=1)
 
-        whole = self._between(cuts, rays, dark)
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
-        finer = self._between(jnp.concatenate([halved, cuts[:, -1:]], axis=1), rays, dark)
-        missing = SLOW * jnp.abs(finer - whole) + radiance_between(cuts, rays, dark, coefficients)
-        return finer, whole if self.rougher is None else self.rougher._between(cuts, rays, dark), missing
+        halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
+        finer, rough, coarse = jnp.split(radiance_between(halved, rays, jnp.tile(dark, 3), coefficients), 3, axis=1)
+        return finer, rough, SLOW * jnp.abs(finer - self._between(cuts, rays, dark)) + coarse
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`; what is scattered forward passes."""
