@@ -7,6 +7,8 @@ import gc
 import os
 from pathlib import Path
 
+# Most of the time of the tests is that of LLVM: its first level compiles programs, each run once or twice, a fifth faster.
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=1".strip()
 os.environ.setdefault("JAXIR_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "programs"))
 
 import jax

@@ -163,20 +163,16 @@ def brightness_temperature(
     Returns:
         Temperature [*batch, band] [K].
 
-    Differentiable in radiance (through 12 unrolled Newton steps).
+    Differentiable in radiance (through 12 Newton steps).
     """
-    nodes = as_nodes(nodes)
-    band = nodes.response.shape[0]
-    wanted = jnp.log(radiance)
+    nodes, wanted = as_nodes(nodes), jnp.log(radiance)
 
-    def one(index: int) -> Array:
-        def log_band(inverse: Array) -> Array:
-            return jnp.log(nodes.in_band(band_radiance(1 / inverse, nodes))[..., index])
+    def log_bands(inverse: Array) -> Array:
+        """Of each band at its own temperature."""
+        return jnp.log(jnp.diagonal(nodes.in_band(band_radiance(1 / inverse, nodes)), axis1=-2, axis2=-1))
 
-        inverse = jnp.full_like(wanted[..., index], 1 / 600.0)
-        for _ in range(12):
-            value, slope = jax.jvp(log_band, (inverse,), (jnp.ones_like(inverse),))
-            inverse = inverse + (wanted[..., index] - value) / slope
-        return 1 / inverse
+    def newton(inverse: Array, _: None) -> tuple[Array, None]:
+        value, slope = jax.jvp(log_bands, (inverse,), (jnp.ones_like(inverse),))
+        return inverse + (wanted - value) / slope, None
 
-    return jnp.stack([one(i) for i in range(band)], axis=-1)
+    return 1 / lax.scan(newton, jnp.full_like(wanted, 1 / 600.0), length=12)[0]
