@@ -7,7 +7,7 @@ import gc
 import os
 from pathlib import Path
 
-# Most of the time of the tests is that of LLVM: its first level compiles programs, each run once or twice, a fifth faster.
+# Most of the tests' time is that of the compiler: its first level makes programs, run once or twice, a fifth faster.
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=1".strip()
 os.environ.setdefault("JAXIR_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "programs"))
 

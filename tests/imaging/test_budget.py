@@ -154,7 +154,9 @@ CORNER = jaxir.Mesh(  # three squares, open to (1, 1, 1)
 )
 
 
-@pytest.mark.parametrize("emissivity, bounces, distance", [(0.9, 0, 3.0), (0.3, 0, np.inf), (0.3, 2, np.inf), (0.3, 2, 3.0)])
+@pytest.mark.parametrize(
+    "emissivity, bounces, distance", [(0.9, 0, 3.0), (0.3, 0, np.inf), (0.3, 2, np.inf), (0.3, 2, 3.0)]
+)
 def test_bounces_left_out_are_told(emissivity, bounces, distance):
     warm = jaxir.Skin(CORNER, np.array([500.0, 500, 300, 300, 300, 300]), jaxir.Lambert(emissivity))
     scene = jaxir.Scene(warm, (), jaxir.DiscSource((3.0, 2.0, 2.0), (-1.0, 0.0, 0.0), 0.5, 200.0))
