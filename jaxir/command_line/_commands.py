@@ -91,6 +91,17 @@ def warn_of_errors(read: SceneFile, errors: ErrorBudget) -> None:
             warnings.warn(f"{read.file}: {what} about {share:.0%} of the intensity", stacklevel=2)
 
 
+def warn_of_missed(read: SceneFile, table: Signature) -> None:
+    """Say in how many views a tolerance that was asked for is not met."""
+    asked = {name: value for name in ("rtol", "atol") if (value := read.signature.get(name)) is not None}
+    missed = int(np.sum(~table.meets(**asked)))
+    if missed:
+        most = read.signature.get("max_samples", inspect.signature(signature).parameters["max_samples"].default)
+        names = " and ".join(f"signature.{name}" for name in asked)
+        views = f"{missed} of {len(table.azimuth)} views"
+        warnings.warn(f"{read.file}: {names} was not met in {views} with {most} samples (max_samples)", stacklevel=2)
+
+
 def signature_command(arguments: argparse.Namespace) -> None:
     """`jaxir signature`: a table of all aspects, in every quantity asked for."""
     outputs = outputs_of(arguments.output, [Path(f"{arguments.scene.stem}.csv")], SIGNATURE_FORMATS)
@@ -110,6 +121,7 @@ def signature_command(arguments: argparse.Namespace) -> None:
             table = naming(read, partial(signature, scene, **asked))
         else:
             table = naming(read, partial(table_of_states, read, quantity, arguments.folder, label, asked))
+        warn_of_missed(read, table)
         errors = table.error_budget(arguments.errors)
         warn_of_errors(read, errors)
         print(f"{quantity}\n{errors}")

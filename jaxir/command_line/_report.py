@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from jaxir import plot
-from jaxir.command_line._commands import warn_of_errors
+from jaxir.command_line._commands import warn_of_errors, warn_of_missed
 from jaxir.command_line._formats import REPORT_FORMATS, outputs_of, write_text
 from jaxir.command_line._html import Page
 from jaxir.command_line._quantities import QUANTITIES, naming, read_scene, scene_of
@@ -54,6 +54,7 @@ def report_command(arguments: argparse.Namespace) -> None:
         if "views" in read.signature:
             asked = {"components": "sources", **read.signature}
             table = naming(read, partial(signature, scene, bands=read.bands, method=read.method, **asked))
+            warn_of_missed(read, table)
             write_signature(page, read, table)
     page.heading("What was assumed")
     page.listed([*assumptions(read), *dict.fromkeys(said)])

@@ -5,7 +5,6 @@ from jaxir.imaging._chunks import Pass as Pass
 from jaxir.imaging._chunks import estimate_chunk as estimate_chunk
 from jaxir.imaging._chunks import first_pass as first_pass
 from jaxir.imaging._chunks import whole_image as whole_image
-from jaxir.imaging._devices import item_by_item as item_by_item
 from jaxir.imaging._devices import shared_by as shared_by
 from jaxir.imaging._faces import unoccluded_intensity as unoccluded_intensity
 from jaxir.imaging._image import Image as Image
@@ -22,12 +21,13 @@ from jaxir.imaging._planning import Term as Term
 from jaxir.imaging._planning import plan as plan
 from jaxir.imaging._plumes import entering as entering
 from jaxir.imaging._plumes import plume_intensity as plume_intensity
+from jaxir.imaging._repeated import require_tolerance as require_tolerance
 from jaxir.imaging._views import COLUMNS as COLUMNS
 from jaxir.imaging._views import Signature as Signature
 from jaxir.imaging._views import Views as Views
 from jaxir.imaging._views import check_views as check_views
+from jaxir.imaging._views import each_view as each_view
 from jaxir.imaging._views import prepare_views as prepare_views
 from jaxir.imaging._views import remembering as remembering
 from jaxir.imaging._views import signature as signature
-from jaxir.imaging._views import view_intensity as view_intensity
 from jaxir.imaging._views import whole_table as whole_table

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,14 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.sharding import Mesh
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxir._arrays import as_float, enforce, is_traced, key_or_default
+from jaxir._arrays import as_float, enforce, is_traced, key_or_default, placed
 from jaxir.geometry import Camera, fitted_camera, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_eye, whole_image
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.imaging._left_out import Asked
+from jaxir.imaging._repeated import Tolerance, require_tolerance, until_met
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
 from jaxir.transport import (
@@ -81,6 +82,12 @@ class Signature(eqx.Module):
         own = self.intensity, self.standard_error, self.spectral, self.truncation
         return budget(*own, None, self.bands, self.asked, look)
 
+    def meets(self, rtol: float | None = None, atol: float | None = None) -> Bool[np.ndarray, " view"]:
+        """Whether the standard error of every band of a view is within a tolerance, as `jaxir.signature` means it."""
+        asked = require_tolerance(rtol, atol, 2, 2)
+        own = (np.asarray(part) for part in (self.intensity, self.standard_error))
+        return np.ones(len(self.azimuth), bool) if asked is None else asked.excess(*own) <= 1
+
 
 class Views(NamedTuple):
     """What is seen from where, ready to be computed view by view.
@@ -114,6 +121,9 @@ def signature(
     samples: int = 2,
     key: Key[Array, ""] | None = None,
     method: Method | None = None,
+    rtol: float | None = None,
+    atol: float | None = None,
+    max_samples: int = 4096,
     devices: Mesh | None = None,
     components: str | None = None,
 ) -> Signature:
@@ -132,6 +142,13 @@ def signature(
         samples: rays per pixel; even.
         key: random key.
         method: as `render`.
+        rtol: standard error of every band's intensity at most, as a share of it, in every view. A first look of
+            `samples` decides how many more a view takes (see `jaxir.imaging._repeated`); where it errs by less than a
+            third of what is asked it is the answer, else it is no part of it. `Signature.meets` says which views kept
+            to it. None takes one look.
+        atol: the standard error that is good enough whatever the intensity [W sr-1], for contrasts near 0; with rtol,
+            the larger of the two counts.
+        max_samples: rays per pixel of a view at which to give up.
         devices: as `render`; views are shared out.
         components: as `render`, for `Signature.parts`.
 
@@ -143,6 +160,7 @@ def signature(
 
     Differentiable as `render`.
     """
+    tolerance = require_tolerance(rtol, atol, samples, max_samples)
     asked = prepare_views(
         scene,
         views,
@@ -156,7 +174,33 @@ def signature(
     )
     index = np.arange(asked.aspect.shape[0], dtype=np.int32)
     mesh = shared_by(devices, index.size, "views")
-    return remembering(over_items(view_intensity, whole_table, asked, index, "signature", mesh), scene, asked)
+    if tolerance is None:
+        return remembering(over_items(view_intensity, whole_table, asked, index, "signature", mesh), scene, asked)
+    found: list[Any] = [None] * index.size
+    for view, values in each_view(asked, index, tolerance, "signature", mesh):
+        found[view] = values
+    stacked = tuple(placed(np.stack(part)) for part in zip(*found, strict=True))
+    return remembering(whole_table(asked, stacked), scene, asked)
+
+
+def each_view(
+    views: Views, index: Int[np.ndarray, " some"], tolerance: Tolerance | None, label: str, devices: Mesh | None
+) -> Iterator[tuple[int, list[np.ndarray]]]:
+    """Views and what `view_intensity` finds of them, each as it is ready.
+
+    Args:
+        views: all of them.
+        index: of those to look at.
+        tolerance: what is asked of each; None for one look.
+        label: of the progress bar.
+        devices: of `shared_by`; None for one.
+
+    Raises:
+        ValueError: a tolerance for values known only inside jit.
+    """
+    if tolerance is not None and is_traced(views):
+        raise ValueError("rtol, atol: got values known only inside jit, expected a call outside it, or neither of them")
+    return until_met(view_intensity, views, index, views.aspect.shape[0], tolerance, label, devices)
 
 
 def remembering(table: Signature, scene: Scene, views: Views) -> Signature:
@@ -205,9 +249,13 @@ def check_views(
     shape: tuple[int, int],
     samples: int,
     method: Method | None,
+    rtol: float | None,
+    atol: float | None,
+    max_samples: int,
     components: str | None,
 ) -> None:
     """Raise what `signature` would, before anything is computed; arguments and errors as there."""
+    require_tolerance(rtol, atol, samples, max_samples)
     aspect, nodes, away = _checked(scene, views, bands, distance, Method() if method is None else method)
     pixel_strata(samples)
     resolved = (Method() if method is None else method).resolved(scene)
@@ -249,11 +297,15 @@ def _prepared(
 
 
 @eqx.filter_jit
-def view_intensity(views: Views, index: Int[Array, ""]) -> tuple[Array, ...]:
-    """Contrast intensity of one view, its standard error, the share left out [band]; by component, with errors."""
+def view_intensity(views: Views, item: Int[Array, ""]) -> tuple[Array, ...]:
+    """Contrast intensity of one view, its standard error, the share left out [band]; by component, with errors.
+
+    Looks at all views are counted through: `item` is the view and, for each look before, the number of views.
+    """
+    number, index = jnp.divmod(item, jnp.asarray(views.aspect.shape[0], item.dtype))
     camera = jax.tree.map(lambda leaf: leaf[index], views.cameras)
     key = jax.random.fold_in(views.key, index)
-    own = key, jnp.zeros((), jnp.uint32), views.strata, views.method
+    own = key, number.astype(jnp.uint32), views.strata, views.method
     taken = Pass(views.lit, camera, *own, components=views.components)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
     parts = () if views.components is None else (image.component_intensity(), image.component_error())

@@ -22,11 +22,11 @@ from jaxir.imaging import (
     COLUMNS,
     Signature,
     Views,
-    item_by_item,
+    each_view,
     prepare_views,
     remembering,
+    require_tolerance,
     shared_by,
-    view_intensity,
     whole_table,
 )
 from jaxir.io._array_files import load_arrays
@@ -53,6 +53,9 @@ def sweep(
     samples: int = 2,
     key: Key[Array, ""] | None = None,
     method: Method | None = None,
+    rtol: float | None = None,
+    atol: float | None = None,
+    max_samples: int = 4096,
     devices: Mesh | None = None,
     components: str | None = None,
 ) -> Signature:
@@ -79,6 +82,9 @@ def sweep(
         samples: rays per pixel.
         key: random key.
         method: as `jaxir.render`.
+        rtol: as `jaxir.signature`, and so on; a view is written when it keeps to it or gives up.
+        atol: as `jaxir.signature`.
+        max_samples: as `jaxir.signature`.
         devices: as `jaxir.signature`.
         components: as `jaxir.signature`.
 
@@ -93,10 +99,12 @@ def sweep(
     """
     if over is not None:
         own = {"distance": distance, "shape": shape, "samples": samples, "key": key, "method": method}
+        own |= {"rtol": rtol, "atol": atol, "max_samples": max_samples}
         return _over(Path(folder), scene, views, bands, over, {**own, "devices": devices, "components": components})
     assert isinstance(scene, Scene)
     if is_traced((scene, views, distance, key, method)):
         raise ValueError("sweep: got values known only inside jit, expected a call outside it")
+    tolerance = require_tolerance(rtol, atol, samples, max_samples)
     asked = prepare_views(
         scene,
         views,
@@ -117,16 +125,15 @@ def sweep(
         method=asked.method,
         key=jax.random.key_data(key_or_default(key)),
         **({} if components is None else {"components": components}),
+        **({} if tolerance is None else {"tolerance": tolerance}),
     )
     files = _Folder(Path(folder), asked)
     count = asked.aspect.shape[0]
     there = _from_first(lambda: files.finished(conditions), np.zeros(count, bool))
     to_do = np.flatnonzero(~there).astype(np.int32)
-    for index, found in item_by_item(view_intensity, asked, to_do, "sweep", mesh):
+    for view, values in each_view(asked, to_do, tolerance, "sweep", mesh):
         if jax.process_index() == 0:
-            rows = (np.asarray(part).reshape(index.size, *files.shapes[k]) for k, part in enumerate(found))
-            for place, *values in zip(index.tolist(), *rows, strict=True):
-                files.write(place, values)
+            files.write(view, values)
     empty = tuple(np.zeros((count, *shape), asked.aspect.dtype) for shape in files.shapes)
     table = whole_table(asked, tuple(jnp.asarray(part) for part in _from_first(files.read, empty)))
     return remembering(table, scene, asked)

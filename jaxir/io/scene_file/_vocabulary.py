@@ -330,8 +330,6 @@ READERS: dict[str, Reader] = {
     "unit": _unit,
 }
 RENDER_READERS: dict[str, Reader] = {
-    "axes": _of(AXES),
-    "axisymmetric": one_of(list("xyz")),
     **READERS,
     "components": one_of(KINDS),
     "key": _key,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.io.result import _sweep as sweep_module
+from jaxir.imaging import _repeated as repeated
 from jaxir.io.result import save_afsim, save_netcdf, save_signature, sweep
 from tests.io.result.sweeping import SHAPE, asked
 from tests.scenes import plate
@@ -30,8 +30,8 @@ def computed(monkeypatch):
             seen.extend(index.tolist())
             yield index, result
 
-    item_by_item = sweep_module.item_by_item
-    monkeypatch.setattr(sweep_module, "item_by_item", watched)
+    item_by_item = repeated.item_by_item
+    monkeypatch.setattr(repeated, "item_by_item", watched)
     return seen
 
 
