@@ -1,8 +1,9 @@
-"""Is the error of pixels that is asked for the error obtained, without bias, and how many rays does it save?
+"""Is the error that is asked for the error obtained, without bias, and how many rays does it save?
 
 Every scene is imaged to several tolerances (`pixel_rtol`) with many keys and compared with two images of a third of the
 tolerance and other keys, whose own error is taken off. Rays are those of pilot and image, against those of an image
-with as many in every pixel and the same error.
+with as many in every pixel and the same error. Intensities of five aspects are asked for in the same way
+(`signature(rtol=)`), and compared with four signatures of a third of the tolerance.
 """
 
 import argparse
@@ -22,6 +23,8 @@ TOLERANCES = (3e-2, 1e-2, 3e-3)
 FINER = 3  # tolerance over that of the images that are compared with
 MOST = 2**14  # rays in a pixel
 PILOT = 8  # rays per pixel that decide
+ASPECTS = ((0.0, 0.0), (40.0, 20.0), (90.0, 0.0), (135.0, -35.0), (180.0, 10.0))
+RASTER = {"shape": (32, 64), "max_samples": 2**13}  # of a view
 EVEN = (2, 8, 18, 32, 72, 128, 288, 512, 1152, 2048, 4050)
 
 
@@ -78,6 +81,7 @@ def compare(name: str, scene: jaxir.Scene, eye: jaxir.Camera, tolerance: float, 
     rays = rays + PILOT if rays > PILOT or told(images[0]) > tolerance / 3 else rays  # or the pilot is the image
     return {
         "scene": name,
+        "of": "pixels",
         "tolerance": tolerance,
         "met": met,
         "obtained_over_asked": obtained / tolerance,
@@ -88,36 +92,76 @@ def compare(name: str, scene: jaxir.Scene, eye: jaxir.Camera, tolerance: float, 
     }
 
 
+def compare_views(name: str, scene: jaxir.Scene, tolerance: float, keys: int) -> dict:
+    """One row: root mean square error over the views, and z of their mean relative error."""
+
+    def asked(tolerance: float, key: int) -> jaxir.Signature:
+        return jaxir.signature(scene, ASPECTS, BAND, rtol=tolerance, key=jax.random.key(key), **RASTER)
+
+    finer = [asked(tolerance / FINER, 1000 + key) for key in range(4)]
+    truth = np.mean([np.asarray(table.intensity, np.float64)[:, 0] for table in finer], axis=0)
+    known = np.mean([np.asarray(table.standard_error, np.float64)[:, 0] ** 2 for table in finer], axis=0) / len(finer)
+    tables = [asked(tolerance, key) for key in range(keys)]
+    apart = np.array([np.asarray(table.intensity, np.float64)[:, 0] for table in tables]) - truth
+    told = np.mean([np.asarray(table.standard_error, np.float64)[:, 0] ** 2 for table in tables], axis=0)
+    square, shown = np.maximum((apart**2).mean(axis=0) - known, 0), truth > 0
+    share = (apart[:, shown] / truth[shown]).mean(axis=1)
+    unknown = np.sqrt((known[shown] / truth[shown] ** 2).sum()) / shown.sum()
+    spread = np.hypot(share.std(ddof=1) / keys**0.5, unknown)
+    return {
+        "scene": name,
+        "of": "views",
+        "tolerance": tolerance,
+        "met": all(bool(table.meets(tolerance).all()) for table in tables),
+        "obtained_over_asked": float(np.sqrt(square[shown].mean() / (truth[shown] ** 2).mean())) / tolerance,
+        "told_over_asked": float(np.sqrt(told[shown].mean() / (truth[shown] ** 2).mean())) / tolerance,
+        "z": share.mean() / spread if spread > 1e-6 else 0.0,
+        "rays": np.nan,
+        "even_rays": np.nan,
+    }
+
+
 def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--keys", type=int, default=16, help="images of a scene and tolerance (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="every sixth scene")
 
 
 def main(run: Run) -> str:
-    every = list(scenes())[:: 6 if run.options.quick else 1]
+    every, keys = list(scenes())[:: 6 if run.options.quick else 1], run.options.keys
     pairs = [(*scene, tolerance) for scene in every for tolerance in TOLERANCES]
-    rows = [compare(*pair, run.options.keys) for pair in tqdm(pairs, desc="scenes and tolerances")]
+    rows = []
+    for name, scene, eye, tolerance in tqdm(pairs, desc="scenes and tolerances"):
+        rows.append(compare(name, scene, eye, tolerance, keys))
+        if not name.endswith((", far", ", 512")):  # the same scene seen from elsewhere
+            rows.append(compare_views(name, scene, tolerance, keys))
     run.table(rows)
     varied = [row for row in rows if row["obtained_over_asked"] > 1e-3]
-    ratio, z = np.array([r["obtained_over_asked"] for r in varied]), np.array([r["z"] for r in varied])
-    saved = np.array([row["even_rays"] / row["rays"] for row in varied])
     figure, axes = subplots(1, 2, figsize=(9, 3.6))
+    said = []
+    for number, kind in enumerate(("pixels", "views")):
+        own = [row for row in varied if row["of"] == kind]
+        ratio, z = np.array([r["obtained_over_asked"] for r in own]), np.array([r["z"] for r in own])
+        axes[1].hist(ratio, bins=np.linspace(0, 1.5, 16), alpha=0.6, color=f"C{number}", label=kind)
+        inside = ((ratio > 0.6) & (ratio <= 1.0)).mean()
+        said.append(
+            f"{kind}: obtained / asked .6 to 1 in {inside:.0%} of {len(own)} pairs ({ratio.min():.2f} to "
+            f"{ratio.max():.2f}), {sum(row['met'] for row in own)} met, z of intensities: rms "
+            f"{np.sqrt((z**2).mean()):.2f}, largest {np.abs(z).max():.1f}"
+        )
     for tolerance in TOLERANCES:
-        own = np.array([row["tolerance"] == tolerance for row in varied])
-        axes[0].plot(saved[own], ratio[own], "o", ms=4, alpha=0.7, label=f"{tolerance:g}")
+        own = [row for row in varied if row["of"] == "pixels" and row["tolerance"] == tolerance]
+        saved = [row["even_rays"] / row["rays"] for row in own]
+        axes[0].plot(saved, [r["obtained_over_asked"] for r in own], "o", ms=4, alpha=0.7, label=f"{tolerance:g}")
     axes[0].axhline(1, color="k", lw=0.6)
     axes[0].set(xscale="log", xlabel="rays of an even image over rays taken", ylabel="error obtained / asked")
-    axes[0].legend(title="asked")
-    axes[1].hist(z, bins=np.linspace(-4, 4, 17))
-    axes[1].set(xlabel="mean intensity beside the fine image's [standard errors]", ylabel="scenes and tolerances")
+    axes[0].legend(title="pixels, asked")
+    axes[1].set(xlabel="error obtained / asked", ylabel="scenes and tolerances")
+    axes[1].legend(title="asked of")
     run.chart(figure)
-    inside, finite = ((ratio > 0.6) & (ratio <= 1.0)).mean(), saved[np.isfinite(saved)]
-    return (
-        f"obtained / asked .6 to 1 in {inside:.0%} of {len(varied)} pairs ({ratio.min():.2f} to {ratio.max():.2f}), "
-        f"all met: {all(row['met'] for row in rows)}; z of the intensities: rms {np.sqrt((z**2).mean()):.2f}, largest "
-        f"{np.abs(z).max():.1f}; rays saved {np.median(finite):.1f} times (median), {finite.min():.2f} to "
-        f"{finite.max():.0f}"
-    )
+    saved = np.array([row["even_rays"] / row["rays"] for row in varied if row["of"] == "pixels"])
+    finite = saved[np.isfinite(saved)]
+    rays = f"rays saved {np.median(finite):.1f} times (median), {finite.min():.2f} to {finite.max():.0f}"
+    return "; ".join([*said, rays])
 
 
 if __name__ == "__main__":
