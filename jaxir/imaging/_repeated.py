@@ -53,8 +53,16 @@ class Tolerance(NamedTuple):
         return np.asarray(np.divide(error, asked, out=beyond, where=asked > 0).max(axis=-1))
 
 
-def require_tolerance(rtol: float | None, atol: float | None, samples: int, max_samples: int) -> Tolerance | None:
+def require_tolerance(
+    rtol: float | None, atol: float | None, samples: int = 1, max_samples: int = 1
+) -> Tolerance | None:
     """What is asked, None where nothing is.
+
+    Args:
+        rtol: of `Tolerance`; None for 0.
+        atol: of `Tolerance`; None for 0.
+        samples: rays per pixel of one look.
+        max_samples: of all looks at a view.
 
     Raises:
         ValueError: tolerances <= 0 or beyond the precision in force; fewer rays at most than those of one look.

@@ -84,7 +84,7 @@ class Signature(eqx.Module):
 
     def meets(self, rtol: float | None = None, atol: float | None = None) -> Bool[np.ndarray, " view"]:
         """Whether the standard error of every band of a view is within a tolerance, as `jaxir.signature` means it."""
-        asked = require_tolerance(rtol, atol, 2, 2)
+        asked = require_tolerance(rtol, atol)
         own = (np.asarray(part) for part in (self.intensity, self.standard_error))
         return np.ones(len(self.azimuth), bool) if asked is None else asked.excess(*own) <= 1
 
