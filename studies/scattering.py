@@ -174,7 +174,8 @@ def chart(run: Run, rows: list[dict]) -> None:
                 depth = sorted({at for at, _ in found})
                 worst = [max(max(abs(e) for at, e in found if at == d), floor) for d in depth]
                 axis.loglog(depth, worst, "o-", color=colour, label=way)
-            noise = {r["depth"]: r["reference_percent"] for r in own}
+            known = [r for r in own if np.isfinite(r["reference_percent"])]
+            noise = {r["depth"]: max(k["reference_percent"] for k in known if k["depth"] == r["depth"]) for r in known}
             axis.fill_between(list(noise), floor, [max(x, floor) for x in noise.values()], color="0.85", zorder=0)
             axis.set(title=f"albedo {albedo:g}, g = {asymmetry:g}", ylim=(floor, 150))
         axis = across[-1]
