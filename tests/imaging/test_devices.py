@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def _start(*arguments, flags=""):
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {flags}"  # compiled as here
     environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "tests.imaging.on_devices", *map(str, arguments)]
     return subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True)
