@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
+
+
+def on_platform(*operands: Any, cpu: Callable[..., Any], default: Callable[..., Any]) -> Any:
+    """`cpu` of the operands where JAX computes on processors, `default` elsewhere: the same numbers in another order.
+
+    Decided while tracing, by the default device: `lax.platform_dependent` would trace both. A program that is sent to
+    another kind of device than the default one is right and slower.
+    """
+    device = getattr(jax.config, "jax_default_device", None)
+    platform = jax.default_backend() if device is None else getattr(device, "platform", device)
+    return (cpu if platform == "cpu" else default)(*operands)
 
 
 def safe_sqrt(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

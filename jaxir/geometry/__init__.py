@@ -34,7 +34,6 @@ from jaxir.geometry._loops import largest as largest
 from jaxir.geometry._loops import lesser as lesser
 from jaxir.geometry._loops import lowest_bit as lowest_bit
 from jaxir.geometry._loops import octant as octant
-from jaxir.geometry._loops import on_platform as on_platform
 from jaxir.geometry._loops import row as row
 from jaxir.geometry._loops import smallest as smallest
 from jaxir.geometry._loops import varying as varying

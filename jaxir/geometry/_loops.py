@@ -10,6 +10,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from jaxir._math import on_platform
+
 T = TypeVar("T")
 
 
@@ -125,17 +127,6 @@ def where_some(
         return lax.fori_loop(zero, stop, block, varying(value, some))
 
     return on_platform(some, value, rays, cpu=one_by_one, default=by_blocks)
-
-
-def on_platform(*operands: Any, cpu: Callable[..., Any], default: Callable[..., Any]) -> Any:
-    """`cpu` of the operands where JAX computes on processors, `default` elsewhere: the same numbers in another order.
-
-    Decided while tracing, by the default device: `lax.platform_dependent` would trace both. A program that is sent to
-    another kind of device than the default one is right and slower.
-    """
-    device = getattr(jax.config, "jax_default_device", None)
-    platform = jax.default_backend() if device is None else getattr(device, "platform", device)
-    return (cpu if platform == "cpu" else default)(*operands)
 
 
 def varying(value: T, like: Array) -> T:

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxir.geometry._loops import on_platform, varying
+from jaxir._math import on_platform
+from jaxir.geometry._loops import varying
 
 
 class Hit(eqx.Module):

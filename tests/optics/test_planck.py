@@ -1,5 +1,6 @@
 """Blackbody radiance against 30-digit quadrature (table O1) over the whole range of temperatures."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import jaxir
 from jaxir._arrays import as_float
 from jaxir.optics.spectrum import (
+    SECOND_RADIATION,
     band_radiance,
     blackbody_fraction,
     brightness_temperature,
@@ -51,6 +53,37 @@ def test_slope_is_that_of_the_table(temperature, mode, precision):
     got = mode(band_radiance)(as_float(temperature), gray_nodes(BANDS))
     rtol = {"float32": 1e-6, "float64": 5e-9}[precision]
     np.testing.assert_allclose(np.asarray(got, np.float64), SLOPE[temperature], rtol=rtol)
+
+
+def test_second_derivative_is_that_of_the_slope(x64):
+    nodes = gray_nodes(BANDS)
+    curved = jax.jacfwd(jax.jacrev(lambda t: band_radiance(t, nodes)))(jnp.asarray(500.0))
+    slope = jax.vmap(jax.jacfwd(lambda t: band_radiance(t, nodes)))(jnp.asarray([500.0 - 1e-2, 500.0 + 1e-2]))
+    np.testing.assert_allclose(curved, (slope[1] - slope[0]) / 2e-2, rtol=1e-7)
+
+
+@pytest.mark.parametrize("edge", [0, 1])
+def test_derivatives_along_edges_are_radiances_per_wavenumber(edge, x64):
+    nodes = gray_nodes(jaxir.MWIR)
+
+    def radiance(moved):
+        return band_radiance(700.0, eqx.tree_at(lambda n: n.edge, nodes, nodes.edge.at[:, edge, 0].add(moved)))[0]
+
+    there = spectral_radiance(wavelength_to_wavenumber(as_float((5.0, 3.0)[edge])), as_float(700.0)) / SECOND_RADIATION
+    for mode in (jax.jacfwd, jax.jacrev):
+        assert float(mode(radiance)(0.0)) == pytest.approx((-1, 1)[edge] * float(there), rel=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(511,), (512,), (513,), (3, 400)])
+def test_many_temperatures_are_as_one_by_one(shape, precision):
+    temperature = as_float(np.random.default_rng(0).uniform(200, 2000, shape))
+    nodes, every = gray_nodes(BANDS), jax.jit(band_radiance)
+    radiance, slope = jax.jvp(lambda t: every(t, nodes), (temperature,), (jnp.ones_like(temperature),))
+    assert radiance.shape == (*shape, 3)
+    for at in ((0,) * len(shape), tuple(n - 1 for n in shape)):
+        alone = jax.jvp(lambda t: every(t, nodes), (temperature[at],), (jnp.ones_like(temperature[at]),))
+        np.testing.assert_allclose((radiance[at], slope[at]), alone, rtol=1e-6 if precision == "float32" else 1e-13)
+    assert every(temperature[:0], nodes).shape == (0, *shape[1:], 3)
 
 
 @pytest.mark.parametrize("product", FRACTION)

@@ -10,7 +10,8 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir.geometry import bits, greater, item, largest, lesser, lowest_bit, octant, on_platform, row, smallest, varying
+from jaxir._math import on_platform
+from jaxir.geometry import bits, greater, item, largest, lesser, lowest_bit, octant, row, smallest, varying
 from jaxir.geometry.search._single import DOUBT, NONE, Query, face_at, settled
 from jaxir.geometry.search._tree import FAR, WIDTH, Tree
 

@@ -11,7 +11,8 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir.geometry import Rays, corners_of, dot, on_platform, unit_normal, varying
+from jaxir._math import on_platform
+from jaxir.geometry import Rays, corners_of, dot, unit_normal, varying
 from jaxir.geometry.search._bundles import BEYOND, TILE, Tile, dual, project, search_tile, see
 from jaxir.geometry.search._mesh import Mesh, any_hit, off_face
 from jaxir.geometry.search._single import NONE, Query, settled

@@ -11,7 +11,8 @@ from jax import lax
 from jax.custom_batching import custom_vmap, sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir.geometry import bits, greater, item, lesser, lowest_bit, octant, on_platform, row, varying, where_some
+from jaxir._math import on_platform
+from jaxir.geometry import bits, greater, item, lesser, lowest_bit, octant, row, varying, where_some
 from jaxir.geometry.search._tree import WIDTH, Tree
 
 NONE = -2  # the place of no face
