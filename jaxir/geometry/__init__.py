@@ -28,6 +28,7 @@ from jaxir.geometry._harmonics import degrees as degrees
 from jaxir.geometry._harmonics import harmonics as harmonics
 from jaxir.geometry._harmonics import sphere_rule as sphere_rule
 from jaxir.geometry._loops import bits as bits
+from jaxir.geometry._loops import for_each as for_each
 from jaxir.geometry._loops import greater as greater
 from jaxir.geometry._loops import item as item
 from jaxir.geometry._loops import largest as largest

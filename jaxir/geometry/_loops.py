@@ -77,6 +77,20 @@ def octant(direction: Float[Array, " 3"]) -> Int[Array, ""]:
     return jnp.sum(jnp.where(direction < 0, jnp.asarray([1, 2, 4], jnp.int32), jnp.int32(0)), dtype=jnp.int32)
 
 
+def for_each(flags: Bool[Array, " item"], update: Callable[[Array, T], T], value: T) -> T:
+    """`update(k, value)` for every k with a flag, one after another."""
+    count = flags.shape[0]
+
+    def advance(k: Array) -> Array:
+        return lax.while_loop(lambda k: (k < count) & ~item(flags, k), lambda k: k + 1, k)
+
+    def step(carry: tuple[Array, T]) -> tuple[Array, T]:
+        return advance(carry[0] + 1), update(*carry)
+
+    first = advance(varying(jnp.zeros((), jnp.int32), flags))
+    return lax.while_loop(lambda carry: carry[0] < count, step, (first, value))[1]
+
+
 BLOCK = 256  # rays that `where_some` looks through at a time
 
 
@@ -89,29 +103,15 @@ def where_some(
     def one_by_one(some: Array, value: Array, rays: Any) -> Array:
         """Blocks with any such ray one after another, and in them ray after ray."""
         flags, values = (jnp.pad(x, (0, -count % BLOCK)).reshape(-1, BLOCK) for x in (some, value))
-        any_in_block = jnp.any(flags, axis=1)
-        order = jnp.argsort(~any_in_block, stable=False).astype(jnp.int32)
-        numbers = jnp.arange(BLOCK, dtype=jnp.int32)
 
         def block(k: Array, values: Array) -> Array:
-            index = order[k]
+            def ray(at: Array, values: Array) -> Array:
+                mine = jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, k * BLOCK + at, keepdims=False), rays)
+                return lax.dynamic_update_index_in_dim(values, function(mine), at, 0)
 
-            def next_ray(after: Array) -> Array:
-                return jnp.min(jnp.where(flags[index] & (numbers > after), numbers, jnp.int32(BLOCK)))
+            return values.at[k].set(for_each(flags[k], ray, values[k]))
 
-            def ray(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-                at, values = carry
-                number = index * BLOCK + at
-                mine = jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, number, keepdims=False), rays)
-                return next_ray(at), lax.dynamic_update_index_in_dim(values, function(mine), at, 0)
-
-            first = next_ray(jnp.full((), -1, jnp.int32))
-            found = lax.while_loop(lambda carry: carry[0] < BLOCK, ray, (first, values[index]))[1]
-            return values.at[index].set(found)
-
-        zero = jnp.zeros((), jnp.int32)
-        stop = jnp.sum(any_in_block, dtype=jnp.int32)
-        return lax.fori_loop(zero, stop, block, varying(values, value)).reshape(-1)[:count]
+        return for_each(jnp.any(flags, axis=1), block, varying(values, value)).reshape(-1)[:count]
 
     def by_blocks(some: Array, value: Array, rays: Any) -> Array:
         """All such rays gathered to full blocks, whose rays go in lockstep."""

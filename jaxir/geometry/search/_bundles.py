@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._math import on_platform
 from jaxir.geometry import bits, greater, item, largest, lesser, lowest_bit, octant, row, smallest, varying
-from jaxir.geometry.search._single import DOUBT, NONE, Query, face_at, settled
+from jaxir.geometry.search._single import DOUBT, NONE, Query, settled
 from jaxir.geometry.search._tree import FAR, WIDTH, Tree
 
 TILE = 256  # rays tested together
@@ -34,7 +34,7 @@ class View(NamedTuple):
         start: frame coordinate along w at which rays start [m].
         screen: [ray, 2] [m].
         limit: projected depth before which hits lie [ray] [m]; -inf for an inactive ray. None for no limit.
-        skip: place of a face in the tree that is not met, -1 for none [ray]; None when no ray skips any.
+        skip: a face that is not met, -1 for none [ray]; None when no ray skips any.
     """
 
     target: Float[Array, " 3"]
@@ -93,10 +93,10 @@ def _search(tree: Tree, view: View, before: Array, side: int, any_hit: bool) -> 
         active = jnp.ones(count, bool) if view.limit is None else view.limit > -BEYOND
         return varying(jnp.where(active, jnp.int32(DOUBT), jnp.int32(NONE)), view.screen)
 
-    place = lax.cond(before, by_tiles, undecided)
+    face = lax.cond(before, by_tiles, undecided)
     rays = (view.screen, view.limit, view.skip)
     sign = jnp.where(before, -side, 0)
-    return face_at(tree, settled(tree, place, rays, lambda ray: _ask(view, sign, *ray), any_hit))
+    return settled(tree, face, rays, lambda ray: _ask(view, sign, *ray), any_hit)
 
 
 def _ask(view: View, side: Array, screen: Array, limit: Array | None, skip: Array | None) -> Query:
@@ -122,6 +122,7 @@ class SeenTree(NamedTuple):
     boxes: tuple[Array, ...]
     children: tuple[Array, ...]
     leaves: Array
+    face: Array
     travel: Array
     shift: Array
     grains: Array
@@ -156,7 +157,7 @@ def see(
         boxes.append(project_boxes(sorted_boxes, travel, shift, inverse_range))
         children.append(lax.dynamic_slice_in_dim(level_children, first * nodes, nodes))
     grains = 1 / _grain(tree, travel, shift, inverse_range)
-    return SeenTree(tuple(boxes), tuple(children), tree.leaves, travel, shift, grains, inverse_range)
+    return SeenTree(tuple(boxes), tuple(children), tree.leaves, tree.face, travel, shift, grains, inverse_range)
 
 
 def _grain(tree: Tree, travel: Array, shift: Array, inverse_range: Array | None) -> Array:
@@ -173,7 +174,7 @@ def _grain(tree: Tree, travel: Array, shift: Array, inverse_range: Array | None)
 
 
 class Tile(NamedTuple):
-    """Screen points, depth limits and skipped places of neighbouring rays."""
+    """Screen points, depth limits and skipped faces of neighbouring rays."""
 
     x: Array
     y: Array
@@ -210,7 +211,7 @@ def project_boxes(table: Array, travel: Array, shift: Array, inverse_range: Arra
 
 
 def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
-    """Place in the tree of the face that each ray of one tile meets, `NONE` or `DOUBT` [ray]; see `search_bundle`."""
+    """The face that each ray of one tile meets, `NONE` or `DOUBT` [ray]; see `search_bundle`."""
     active = tile.limit > -BEYOND
     x0, y0 = (smallest(jnp.where(active, lane, FAR)) for lane in (tile.x, tile.y))
     x1, y1 = (largest(jnp.where(active, lane, -FAR)) for lane in (tile.x, tile.y))
@@ -246,12 +247,12 @@ def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
         return lax.while_loop(lambda carry: carry[0] != 0, body, (mask, *state))[1:]
 
     def leaf(number: Array, go: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        _, depth, place = state
+        _, depth, met = state
         face = _set_up(scene, row(scene.leaves, number), (xc, yc), (xh, yh), side)
         wanted = (face.wanted & go).astype(jnp.int32)
 
         def test(k: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-            depth, place = state
+            depth, met = state
             at = [k + edge * slot for edge in range(3)]
             area = item(face.area, k)
             sign = jnp.where(area < 0, -1, 1).astype(area.dtype)
@@ -268,15 +269,15 @@ def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
             first = jnp.where(thin, lesser(lesser(z0, z1), z2), z0 - (rise1 * error1 - rise2 * error2))
             here = rise1 * e1 - rise2 * e2 + first
             inside = lesser(lesser(e0, e1), e2)
-            index = number * slot + k
+            own = item(scene.face, number, k)
             hit = (inside >= 0) & (here < depth)
             if tile.skip is not None:
-                hit = hit & (tile.skip != index)
+                hit = hit & (tile.skip != own)
             sure = inside >= 2 * error
-            code = jnp.where(sure, index, jnp.int32(DOUBT))
+            code = jnp.where(sure, own, jnp.int32(DOUBT))
             if any_hit:
-                return jnp.where(hit & sure, -BEYOND, depth), jnp.where(hit, jnp.maximum(code, place), place)
-            return jnp.where(hit, here, depth), jnp.where(hit, code, place)
+                return jnp.where(hit & sure, -BEYOND, depth), jnp.where(hit, jnp.maximum(code, met), met)
+            return jnp.where(hit, here, depth), jnp.where(hit, code, met)
 
         def advance(k: Array) -> Array:
             """The next wanted face, coded as -1 - k, or `slot`."""
@@ -285,12 +286,11 @@ def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:
             )
 
         def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            depth, place = test(-1 - carry[0], carry[1:])
-            return advance(-carry[0]), depth, place
+            return advance(-carry[0]), *test(-1 - carry[0], carry[1:])
 
         first = advance(jnp.zeros_like(number))
-        _, depth, place = lax.while_loop(lambda carry: carry[0] < 0, step, (first, depth, place))
-        return largest(depth), depth, place
+        _, depth, met = lax.while_loop(lambda carry: carry[0] < 0, step, (first, depth, met))
+        return largest(depth), depth, met
 
     state = (largest(tile.limit), tile.limit, jnp.full(x.shape, NONE, jnp.int32))
     return visit(0, jnp.zeros((), jnp.int32), some, varying(state, x))[2]

@@ -223,7 +223,7 @@ def _query(mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array,
         if mesh.closed:
             side = jnp.where(started, -along, 0)
         else:
-            skip = jnp.where(started, tree.slot[jnp.maximum(leaving, 0)], -1)
+            skip = leaving
     return Query(origin, direction, near, far, skip, side)
 
 

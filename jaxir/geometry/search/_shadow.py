@@ -12,7 +12,7 @@ from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._math import on_platform
-from jaxir.geometry import Rays, corners_of, dot, unit_normal, varying
+from jaxir.geometry import Rays, corners_of, dot, for_each, unit_normal, varying
 from jaxir.geometry.search._bundles import BEYOND, TILE, Tile, dual, project, search_tile, see
 from jaxir.geometry.search._mesh import Mesh, any_hit, off_face
 from jaxir.geometry.search._single import NONE, Query, settled
@@ -99,12 +99,12 @@ def _occluded(
     def tile(point: Array, face: Array, active: Array) -> Array:
         position, lit = start(point, face)
         away = (face >= 0) & (lit <= 0) if mesh.closed else jnp.zeros_like(active)
-        skip = None if mesh.closed else jnp.where(face >= 0, tree.slot[jnp.maximum(face, 0)], -1)
+        skip = None if mesh.closed else face
         x, y, z = (dot(list(axis), position) for axis in frame)
         scale = jnp.ones_like(z) if inverse_range is None else 1 / (1 - z * inverse_range)
         limit = jnp.where(active & ~away, project(-z, inverse_range), -BEYOND)
-        place = search_tile(scene, Tile(x * scale, y * scale, limit, skip), side, any_hit=True)
-        return jnp.where(active & away, 0, place)
+        found = search_tile(scene, Tile(x * scale, y * scale, limit, skip), side, any_hit=True)
+        return jnp.where(active & away, 0, found)
 
     def start(point: Array, face: Array) -> tuple[list[Array], Array]:
         """Points off their faces, measured from the tree's centre, and how much of the light their faces look at."""
@@ -128,7 +128,7 @@ def _occluded(
             direction = w / inverse_range.astype(double) - position
             far = jnp.sqrt(jnp.sum(direction * direction))
             direction = direction / far
-        skip = jnp.full((), -1, jnp.int32) if mesh.closed else jnp.where(face >= 0, tree.slot[jnp.maximum(face, 0)], -1)
+        skip = jnp.full((), -1, jnp.int32) if mesh.closed else face
         origin = position + tree.centre.astype(double)
         return Query(origin, direction, jnp.zeros((), double), far, skip, jnp.full((), side, double))
 
@@ -138,23 +138,19 @@ def _occluded(
         jnp.pad(x, ((0, -count % size), *[(0, 0)] * (x.ndim - 1))).reshape(-1, size, *x.shape[1:])
         for x in (point, face, active)
     ]
-    place = on_platform(
+    found = on_platform(
         *tiles, cpu=partial(_where_active, tile), default=lambda *tiles: jax.vmap(tile)(*tiles)
     ).reshape(-1)[:count]
-    return settled(tree, place, (point, face), ask, any_hit=True) >= 0
+    return settled(tree, found, (point, face), ask, any_hit=True) >= 0
 
 
 def _where_active(tile: Callable[..., Array], point: Array, face: Array, active: Array) -> Array:
-    """`tile` of the tiles that hold an active point, one after another; no place in the others."""
-    some = jnp.any(active, axis=1)
-    order = jnp.argsort(~some)
+    """`tile` of the tiles that hold an active point, one after another; `NONE` in the others."""
 
-    def body(k: Array, place: Array) -> Array:
-        index = order[k]
-        return place.at[index].set(tile(point[index], face[index], active[index]))
+    def search(k: Array, found: Array) -> Array:
+        return found.at[k].set(tile(point[k], face[k], active[k]))
 
-    zero, none = jnp.zeros((), jnp.int32), jnp.full(active.shape, NONE, jnp.int32)
-    return lax.fori_loop(zero, jnp.sum(some, dtype=jnp.int32), body, varying(none, point))
+    return for_each(jnp.any(active, axis=1), search, varying(jnp.full(active.shape, NONE, jnp.int32), point))
 
 
 def orthonormal(w: Float[Array, " 3"]) -> Float[Array, "3 3"]:

@@ -15,7 +15,7 @@ from jaxir._math import on_platform
 from jaxir.geometry import bits, greater, item, lesser, lowest_bit, octant, row, varying, where_some
 from jaxir.geometry.search._tree import WIDTH, Tree
 
-NONE = -2  # the place of no face
+NONE = -2  # no face
 DOUBT = -1  # rounding leaves open whether a face is met that would come first
 _FAR = 3e38
 _ROUNDING = 11.0  # bound of the rounding of an edge's moment, in units of the last place, see `_leaf_hits`
@@ -29,7 +29,7 @@ class Query(NamedTuple):
         direction: [ray, 3], unit.
         near: hits lie beyond this distance [ray] [m].
         far: and before this one [ray] [m]; a ray with far <= near is inactive.
-        skip: place of a face in the tree that is not met, -1 for none [ray].
+        skip: a face that is not met, -1 for none [ray].
         side: +1 meets only faces whose normal looks along the ray, -1 only faces that look against it, 0 both [ray].
     """
 
@@ -74,24 +74,18 @@ def _search(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]:
         with jax.enable_x64(True):
             return _search_ray(tree, _approach(tree, ray, tree.leaves.dtype), any_hit, settle=False)
 
-    place = on_platform(query, cpu=lambda query: lax.map(one, query), default=lambda query: jax.vmap(one)(query))
-    place = settled(tree, place, query, lambda ray: ray, any_hit)
-    return face_at(tree, place)
-
-
-def face_at(tree: Tree, place: Int[Array, " ray"]) -> Int[Array, " ray"]:
-    """The faces in places of the tree, -1 for no place."""
-    return jnp.where(place >= 0, tree.face.reshape(-1)[jnp.maximum(place, 0)], -1)
+    face = on_platform(query, cpu=lambda query: lax.map(one, query), default=lambda query: jax.vmap(one)(query))
+    return settled(tree, face, query, lambda ray: ray, any_hit)
 
 
 def settled(
-    tree: Tree, place: Int[Array, " ray"], rays: Any, ask: Callable[[Any], Query], any_hit: bool
+    tree: Tree, face: Int[Array, " ray"], rays: Any, ask: Callable[[Any], Query], any_hit: bool
 ) -> Int[Array, " ray"]:
-    """Places that rays meet, with those in `DOUBT` searched again in double precision.
+    """Faces that rays meet, -1 for none, with rays in `DOUBT` searched again in double precision.
 
     Args:
         tree: the tree.
-        place: what a search found [ray].
+        face: what a search found [ray].
         rays: arrays with one row a ray.
         ask: the query of one ray from its rows of `rays`, traced with 64-bit types enabled.
         any_hit: as in `search_single`.
@@ -101,7 +95,7 @@ def settled(
         with jax.enable_x64(True):
             return _search_ray(tree, _approach(tree, ask(rays), jnp.dtype("float64")), any_hit, settle=True)
 
-    return where_some(again, place == DOUBT, place, rays)
+    return jnp.maximum(where_some(again, face == DOUBT, face, rays), -1)
 
 
 def _approach(tree: Tree, ray: Query, dtype: Any) -> Query:
@@ -126,7 +120,7 @@ def _radius(tree: Tree) -> Float[Array, ""]:
 
 
 def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Array, ""]:
-    """Place in the tree of the face that one ray meets, `NONE` or, unless told to settle, `DOUBT`.
+    """The face that one ray meets, `NONE` or, unless told to settle, `DOUBT`.
 
     The fields of `ray` have no ray axis; its dtype is that of the arithmetic.
     """
@@ -166,16 +160,15 @@ def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Arra
 
     def leaf(number: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         best, found, doubt = state
-        places = number * tree.slots + jnp.arange(tree.slots, dtype=jnp.int32)
-        t, unsure = _leaf_hits(row(tree.leaves, number).astype(dtype), ray, places, best, bound, settle)
+        faces = row(tree.face, number)
+        t, unsure = _leaf_hits(row(tree.leaves, number).astype(dtype), ray, faces, best, bound, settle)
 
         def nearer(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             mask, best, found = carry
             which = lowest_bit(mask)
             distance = item(t, which)
             closer = distance < best
-            place = number * tree.slots + which
-            return mask & (mask - 1), jnp.where(closer, distance, best), jnp.where(closer, place, found)
+            return mask & (mask - 1), jnp.where(closer, distance, best), jnp.where(closer, item(faces, which), found)
 
         # few faces are met: to look at those costs less than the smallest of all
         _, best, found = lax.while_loop(lambda carry: carry[0] != 0, nearer, (bits(t < best), best, found))
@@ -192,7 +185,7 @@ def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Arra
 def _leaf_hits(
     leaf: Float[Array, " lane"],
     ray: Query,
-    places: Int[Array, " slot"],
+    faces: Int[Array, " slot"],
     best: Float[Array, ""],
     bound: Float[Array, ""],
     settle: bool,
@@ -211,7 +204,7 @@ def _leaf_hits(
     Args:
         leaf: a row of `Tree.leaves`.
         ray: one ray, as in `_search_ray`.
-        places: of the faces in the tree.
+        faces: those of the leaf; -1 where one is missing.
         best: distance before which faces are asked for [m].
         bound: 11 eps r [m].
         settle: a ray within the bound of an edge meets it, and a face that the bound cannot tell from one seen
@@ -243,7 +236,7 @@ def _leaf_hits(
     volume = fold(jnp.add, weight)
     along, against = ray.side >= 0, ray.side <= 0
     first, last = fold(lesser, depth), fold(greater, depth)
-    other = places != ray.skip
+    other = faces != ray.skip
     if settle:
         blur = fold(jnp.add, error)
         met = (low >= -1) & along & (volume > blur) | (high <= 1) & against & (volume < -blur)

@@ -30,7 +30,6 @@ class Tree(eqx.Module):
 
     Attributes:
         face: face in each place of each leaf [leaf, slot]; -1 where empty.
-        slot: place of each face in the flattened `face` [face].
         children: for each level, from the root down, child numbers sorted near to far [octant * node, 16].
         boxes: for each level, lower x, y, z, then upper x, y, z of the children [octant * node, 6 * 16] [m].
         leaves: x, then y, then z of corners 0, 1, 2, 0, 1 [leaf, 15 * slot] [m]; zero where a face is missing or has
@@ -41,17 +40,11 @@ class Tree(eqx.Module):
     """
 
     face: Int[Array, "leaf slot"]
-    slot: Int[Array, " face"]
     children: tuple[Int[Array, "_ 16"], ...]
     boxes: tuple[Float[Array, "_ 96"], ...]
     leaves: Float[Array, "leaf _"]
     centre: Float[Array, " 3"]
     extent: Float[Array, " 3"]
-
-    @property
-    def slots(self) -> int:
-        """Places in a leaf."""
-        return self.face.shape[1]
 
     def outline(self, most: int) -> Float[Array, "row 96"]:
         """Boxes of the deepest level with at most `most` of them as an outline, see `jaxir.geometry.search`."""
@@ -61,7 +54,7 @@ class Tree(eqx.Module):
 
     def refit(self, vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Tree:
         """The same tree about moved vertices; runs under jit. The order of faces stays, so large motions cost speed."""
-        return Tree(self.face, self.slot, self.children, *_tables(jnp, vertices, faces, self.face, self.children))
+        return Tree(self.face, self.children, *_tables(jnp, vertices, faces, self.face, self.children))
 
 
 def build(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Tree:
@@ -71,15 +64,11 @@ def build(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Tree:
     """
     faces = faces.astype(np.int32)
     face = _leaf_faces(vertices[faces])
-    filled = np.flatnonzero(face.ravel() >= 0)
-    slot = np.empty(len(faces), np.int32)
-    slot[face.ravel()[filled]] = filled
     children = _children(vertices, faces, face)
     tables = _tables(np, vertices, faces, face, children)
     boxes, leaves, centre, extent = tables
     return Tree(
         jnp.asarray(face),
-        jnp.asarray(slot),
         tuple(jnp.asarray(c) for c in children),
         tuple(jnp.asarray(b) for b in boxes),
         jnp.asarray(leaves),
@@ -90,8 +79,8 @@ def build(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Tree:
 
 def single_leaf(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Tree:
     """A tree without levels that holds all faces in one leaf; runs under jit, for a handful of faces."""
-    slot = jnp.arange(faces.shape[0], dtype=jnp.int32)
-    return Tree(slot[None, :], slot, (), *_tables(jnp, vertices, faces, slot[None, :], ()))
+    face = jnp.arange(faces.shape[0], dtype=jnp.int32)[None, :]
+    return Tree(face, (), *_tables(jnp, vertices, faces, face, ()))
 
 
 def _leaf_faces(corners: NDArray[np.floating]) -> NDArray[np.int32]:
