@@ -60,7 +60,9 @@ def soot() -> ParticleTable:
 
 
 def scene(temperature: float, scale: float, core: float, load: float, table: ParticleTable) -> jaxir.Scene:
-    gas = jaxir.NarrowBandGas(PRESSURE, EXHAUST.h2o * scale, EXHAUST.co2 * scale, None, EXHAUST.o2)
+    # scipy's steps leave the temperatures for which the gas was made
+    composition = {"h2o": EXHAUST.h2o * scale, "co2": EXHAUST.co2 * scale, "o2": EXHAUST.o2}
+    gas = jaxir.NarrowBandGas(PRESSURE, **composition, extrapolate=True)
     particles = jaxir.Particles(load * SOOT_VOLUME / float(table.volume), table)
     place, shape = ((0, 0, 0), (-1, 0, 0), 0.5), {"core_length": core, "length": 20.0, "panels": 2}
     return jaxir.Scene(plumes=jaxir.JetPlume(*place, temperature, 218.0, gas, particles=particles, **shape))
