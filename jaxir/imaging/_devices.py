@@ -53,6 +53,7 @@ def over_items(
     items: Int[np.ndarray, " item"],
     label: str,
     devices: Mesh | None = None,
+    quick: bool = False,
 ) -> Any:
     """`whole(inputs, results)` of the results of `function(inputs, item)` for every item.
 
@@ -63,15 +64,19 @@ def over_items(
         items: numbers of the items.
         label: of the progress bar.
         devices: of `shared_by`; None for one.
+        quick: whether all items together take no longer than a few calls.
 
     Returns:
-        What `whole` makes: of one program where inputs are traced, which is compiled once for each structure, else of
-        a loop on the host.
+        What `whole` makes: of one program where inputs are traced, which is compiled once for each structure, or on one
+        device all is quick; else of a loop on the host.
 
     Differentiable in inputs as the two functions are.
     """
     if is_traced(inputs):
         return _in_one_program(function, whole, inputs, placed(items), devices)
+    if quick and devices is None:
+        with progress(label, 1):
+            return _in_one_program(function, whole, inputs, placed(items), None)
     results = [part for _, part in item_by_item(function, inputs, items, label, devices)]
     return _joined(whole, inputs, results, devices is not None)
 

@@ -114,7 +114,7 @@ def render(
 
     def take(number: int, samples: int) -> Image:
         taken = first._replace(number=as_number(number), strata=pixel_strata(samples))
-        image = over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh)
+        image = over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh, taken.quick)
         asked = Asked(scene, taken.lit.nodes, camera, taken.method)
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
@@ -126,7 +126,7 @@ def render(
 
         def with_own(number: int, strata: Strata) -> Image:
             taken = first._replace(number=as_number(number), strata=(1, 1))
-            pixels = over_items(estimate_chunk, every_pixel, taken, taken.chunks(), "render", mesh)
+            pixels = over_items(estimate_chunk, every_pixel, taken, taken.chunks(), "render", mesh, taken.quick)
             pixels = with_strata(taken, pixels, strata)
             mean = 2 + 2 * (strata.count - 1).sum() / math.prod(camera.shape)
             image = image_of_pixels(taken, pixels, placed(np.int32(round(mean))))
