@@ -6,7 +6,8 @@ named one (`jax_compilation_cache_dir`) or the environment variable `JAXIR_CACHE
 folder. By default it is `$XDG_CACHE_HOME/jaxir/<jaxlib>-<processor>-<jaxir>`, or `~/.cache` in place of the variable.
 
 Who can write the folder can run code in the process, so it is private (mode 0700), and one of another user is not used.
-Other values (`kept`, `keep`) lie in the same folder, under a key that holds a digest of the package's own files.
+Other values (`kept`, `keep`), executables of `jaxir._programs` among them, lie in the same folder, under a key that
+holds a digest of the package's own files.
 Each file begins with the SHA-256 of the rest: one that is cut or damaged is left out and compiled anew. Files are
 written whole or not at all; when they are more than `LIMIT` bytes together, those used longest ago are deleted.
 """
@@ -35,6 +36,11 @@ _DIGEST = hashlib.sha256().digest_size
 def compilation_cache() -> str:
     """One line that says where compiled programs are kept on disk, or why they are not."""
     return _STATE[0]
+
+
+def keeps() -> bool:
+    """Whether jaxir has a folder of its own where values can be kept."""
+    return bool(_FOLDERS)
 
 
 def kept(key: str) -> bytes | None:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, broadcast, finite, non_negative, on_host, reshaped
+from jaxir._programs import program
 
 Axes = tuple[int | str, ...]
 Range = Callable[[str, Array], Check]
@@ -223,7 +224,7 @@ else:
     SpectralLight = Float[Array, "*batch node"] | AbstractSpectrum
 
 
-@eqx.filter_jit
+@program
 def _compiled_relations(of: Physical) -> list[Check]:
     """`Physical.relations` as one program instead of one for each of its operations."""
     return of.relations()

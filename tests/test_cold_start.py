@@ -161,6 +161,80 @@ def test_the_user_decides():
     assert run(named, JAXIR_CACHE="") == ["compilation cache: /named, as jax_compilation_cache_dir says"]
 
 
+TRACED = """
+import jax
+from jax import monitoring
+seen = []
+monitoring.register_event_duration_secs_listener(
+    lambda event, seconds, **own: seen.append(own.get("fun_name")) if event.endswith("trace_duration") else None
+)
+"""
+
+
+def test_a_second_process_traces_nothing_of_an_image(filled):
+    folder, (state, answer) = filled
+    lines = run(TRACED + ANSWER + "print(sorted(set(seen)))", JAXIR_CACHE=str(folder))
+    assert lines[:2] == [state, answer]
+    assert set(eval(lines[2])) <= {
+        "threefry_seed",
+        "_threefry_seed",
+        "random_seed",
+        "radius_about",
+    }  # of JAX, and for a mesh
+
+
+OTHERS = """
+import sys
+import equinox as eqx, jax, jax.numpy as jnp, numpy as np, jaxir
+from jaxir import _programs
+
+kept = []
+_programs.keep = lambda key, value, put=_programs.keep: (kept.append(key), put(key, value))
+"""
+
+
+def test_what_a_key_cannot_name_is_not_kept(tmp_path):
+    code = """
+class Dull(jaxir.Lambert):  # a user's, who may change its code
+    pass
+
+mesh = jaxir.Mesh([[0.0, -1, -1], [0, 1, -1], [0, 0, 1]], [[0, 1, 2]])
+for kind in (jaxir.Lambert, Dull):
+    del kept[:]
+    skin = jaxir.Skin(mesh, 300.0, kind(0.5))
+    print(float(jaxir.unoccluded_intensity(jaxir.Scene(skin), 0, 0, jaxir.MWIR)[0]), len(kept) > 0)
+"""
+    (own, own_kept), (other, other_kept) = (
+        line.split() for line in run(OTHERS + code, JAXIR_CACHE=str(tmp_path / "p"))
+    )
+    assert own == other and own_kept == "True" and other_kept == "False"
+
+
+def test_settings_of_jax_and_flags_have_programs_of_their_own(tmp_path):
+    code = """
+from jaxir.imaging._image import truncated_share
+for x64 in (False, True):
+    with jax.enable_x64(x64):
+        print(truncated_share(jnp.asarray([[0.1], [0.3]]), jnp.asarray([2.0])).dtype)
+print(len(set(kept)))
+"""
+    assert run(OTHERS + code, JAXIR_CACHE=str(tmp_path / "p")) == ["float32", "float64", "2"]
+
+
+def test_programs_with_linear_algebra_find_its_functions_in_a_second_process(tmp_path):
+    code = """
+from jaxir._programs import program
+import jaxir._math
+def solve(a, b):
+    return jnp.linalg.solve(a, b), jax.random.key_data(jax.random.key(1)), jax.random.key(2)
+solve.__module__ = "jaxir._math"
+own = program(solve)
+print(own(2 * jnp.eye(2), jnp.ones(2))[0].tolist(), jax.random.uniform(own(jnp.eye(2), jnp.ones(2))[2]), len(kept))
+"""
+    first, second = (run(OTHERS + code, JAXIR_CACHE=str(tmp_path / "p")) for _ in range(2))
+    assert first[0].startswith("[0.5, 0.5]") and first[0].endswith(" 1") and second[0] == first[0][:-1] + "0"
+
+
 class OtherGas(jaxir.NarrowBandGas):
     """A gas of a user's, who may change its code."""
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, broadcast, enforce, positive, reshaped
+from jaxir._programs import program
 from jaxir.geometry import Camera, view_checks
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Scene, on_nodes, scene_nodes
@@ -141,6 +142,6 @@ def _measurement(
     return enforce(made, made.checks())
 
 
-@eqx.filter_jit
+@program
 def _cameras(scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array) -> Camera:
     return graded_cameras(on_nodes(scene, nodes), aspect, shape, distance)

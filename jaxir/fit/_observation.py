@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from jaxir._programs import program
 from jaxir.fit._drift import density_ratio, effective_share
 from jaxir.fit._measurement import Measurement
 from jaxir.geometry import Camera, Crossings, Rays, hilbert_index, pixel_samples, tile_rays
@@ -94,7 +95,7 @@ class Observation(eqx.Module):
         direction = measurement.cameras.frame[0, 2:]  # any: the background is uniform, see `observe`
         return contrast + nodes.in_band(lit.empty(direction))[None, None]
 
-    @eqx.filter_jit
+    @program
     def effective_share(self, scene: Scene) -> Float[Array, ""]:
         """Effective share of the directions that the traced brdf drew when they serve another scene, see `drift`."""
         ratios = [
@@ -109,7 +110,7 @@ class Observation(eqx.Module):
         return not scene.plumes or bool(_held(self, scene))
 
 
-@eqx.filter_jit
+@program
 def _held(observation: Observation, scene: Scene) -> Bool[Array, ""]:
     cameras = _widened(observation.measurement, scene)
     same = (cameras.pixel <= observation.measurement.cameras.pixel).all()
@@ -190,7 +191,7 @@ class ViewRays(eqx.Module):
     crosses: Bool[Array, " ray"]
 
 
-@eqx.filter_jit
+@program
 def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> ViewRays:
     """All rays of one view, along a curve that fills its image.
 
@@ -284,7 +285,7 @@ def ray_sum(scene: Scene, measurement: Measurement, rays: ViewRays | None, key: 
     return RaySum(paths, weight, jnp.asarray(group, jnp.int32))
 
 
-@eqx.filter_jit
+@program
 def _trace_chunks(scene: Scene, rays: Rays, measurement: Measurement, keys: Array) -> Paths:
     def chunk(each: tuple[Rays, Array]) -> Paths:
         return store_route(scene, trace(scene, each[0], measurement.method, each[1]))

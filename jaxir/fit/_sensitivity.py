@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import key_or_default
+from jaxir._programs import program
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._observation import Observation, observe
 from jaxir.scene import Scene
@@ -43,7 +44,7 @@ def sensitivity(
     return _slopes(observed, scene, names.index(band))
 
 
-@eqx.filter_jit
+@program
 def _slopes(observed: Observation, scene: Scene, band: int) -> tuple[Array, Array]:
     assert scene.skin is not None
     emissivity = getattr(scene.skin.brdf, "emissivity")  # noqa: B009, of a Lambert skin

@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float
+from jaxir._programs import program
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._parameter import AbstractParameter, Coordinates, at_bounds, at_values
 from jaxir.fit._prepare import prepare, retraced
@@ -193,7 +193,7 @@ def expected_uncertainty(
     return uncertainty(coordinates.labels, coordinates.units, coordinates.values(z), coordinates.slope(z), jacobian)
 
 
-@eqx.filter_jit
+@program
 def _placed(coordinates: Coordinates, z: Array) -> tuple[Scene, Array, Array]:
     """The scene at z, the physical values there and their slopes dx/dz."""
     values = coordinates.values(z)

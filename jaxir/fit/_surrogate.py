@@ -28,6 +28,7 @@ from jax import lax
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float
+from jaxir._programs import program
 from jaxir.fit._concurrent import side_by_side
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._observation import Observation, RaySum, ViewRays, ray_sum
@@ -310,7 +311,7 @@ def _chosen(observed: Observation) -> tuple[ViewRays | None, ViewRays | None]:
     return about(LEADING, EVEN), about(STEERING, EVEN_STEERING)
 
 
-@eqx.filter_jit
+@program
 def _parts(rays: RaySum, scene: Scene, measurement: Measurement) -> Float[Array, "chunk slice place band"]:
     """Magnitude of what each ray adds to its row."""
     lit = scene.on(measurement.nodes)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float
+from jaxir._programs import program
 from jaxir.fit._descent import LevenbergMarquardt
 from jaxir.fit._problem import Problem, value_and_jacobian, with_jacobian
 
@@ -131,7 +131,7 @@ def best(problem: Problem, starts: Array, walked: Walked) -> Reached:
     return Reached(z, seen, begin, jacobian, size, losses, steps, result)
 
 
-@eqx.filter_jit
+@program
 def walk(
     problem: Problem, starts: Array, size: Array | None, solver: Any, max_steps: int, flat: Bool[Array, " walk"]
 ) -> Walked:
@@ -178,13 +178,13 @@ def walk(
     return jax.vmap(one)(starts)
 
 
-@eqx.filter_jit
+@program
 def look(problem: Problem, z: Array) -> Seen:
     """What the rays of a problem say of a point."""
     return _seen(problem, z)
 
 
-@eqx.filter_jit
+@program
 def linearised(problem: Problem, z: Array) -> tuple[Seen, Float[Array, "row p"]]:
     """What the rays of a problem say of a point, and the Jacobian of the residuals there."""
 

@@ -19,13 +19,13 @@ from collections.abc import Callable, Iterator
 from functools import partial, reduce
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import placed
+from jaxir._programs import program
 from jaxir.geometry import TILE, Camera
 from jaxir.imaging._chunks import Estimate, Pass, Seen, Varied, see
 from jaxir.imaging._devices import progress
@@ -251,7 +251,7 @@ def _in_chunks(strata: Strata, end: np.ndarray, size: int) -> Iterator[tuple[np.
         yield pixel[: min(size, total - start)], Spots(*(placed(part.astype(np.int32)) for part in spots))
 
 
-@eqx.filter_jit
+@program
 def _seen_at(taken: Pass, spots: Spots, number: Array) -> tuple[Seen, Varied]:
     """Mean of two rays in each stratum, and a quarter of their squared difference."""
     camera = taken.camera

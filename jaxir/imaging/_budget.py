@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._math import safe_sqrt
+from jaxir._programs import program
 from jaxir.imaging._left_out import Asked
 
 PARTS = {
@@ -145,12 +146,12 @@ def budget(
     return ErrorBudget(intensity, sampling, times(spectral), quadrature, left_out, bounces, beyond, bands)
 
 
-@jax.jit
+@program
 def _total(parts: list[Array]) -> Array:
     return safe_sqrt(jnp.sum(jnp.stack(parts) ** 2, axis=0))
 
 
-@jax.jit
+@program
 def _product(intensity: Array, share: Array) -> Array:
     share = jnp.broadcast_to(share, intensity.shape)
     return jnp.where(share > 0, intensity * share, 0)

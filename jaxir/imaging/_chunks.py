@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, enforce, on_host, placed
+from jaxir._programs import program
 from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays
 from jaxir.geometry.search import may_see
 from jaxir.imaging._image import Image, image_of
@@ -163,7 +163,7 @@ def first_pass(
     return Pass(lit, camera, key, as_number(0), strata, method, PARTS, split)
 
 
-@eqx.filter_jit
+@program
 def _prepared(scene: Scene, nodes: Nodes, camera: Camera) -> tuple[Lit, Array]:
     """The scene on the nodes, and how far it reaches towards the eye."""
     return on_nodes(scene, nodes), reach_to_eye(scene, camera)
@@ -174,13 +174,13 @@ def as_number(number: int) -> Array:
     return placed(np.uint32(number))
 
 
-@eqx.filter_jit
+@program
 def whole_image(taken: Pass, parts: Estimate) -> Image:
     """The image of the estimates of all chunks, stacked."""
     return image_of_pixels(taken, every_pixel(taken, parts), 2 * taken.strata[0] * taken.strata[1])
 
 
-@eqx.filter_jit
+@program
 def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
     """The estimates [row, column, ...] of all chunks, stacked."""
     camera = taken.camera
@@ -195,7 +195,7 @@ def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
     return Estimate(whole(parts.mean), whole(parts.variance), empty, *others)
 
 
-@eqx.filter_jit
+@program
 def image_of_pixels(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""]) -> Image:
     """The image of estimates [row, column, ...] from `samples` rays per pixel."""
     camera, nodes = taken.camera, taken.lit.nodes
@@ -211,7 +211,7 @@ def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Flo
     return camera.untile(flat[: camera.tiles[0] * camera.tiles[1]])
 
 
-@eqx.filter_jit
+@program
 def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles.
 

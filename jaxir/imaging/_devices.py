@@ -22,6 +22,7 @@ from jaxtyping import Array, Int
 from tqdm import tqdm
 
 from jaxir._arrays import is_traced, placed
+from jaxir._programs import program
 
 AXIS = "devices"
 
@@ -81,7 +82,7 @@ def over_items(
     return _joined(whole, inputs, results, devices is not None)
 
 
-@eqx.filter_jit
+@program
 def _in_one_program(
     function: Callable[[Any, Array], Any],
     whole: Callable[[Any, Any], Any],
@@ -96,7 +97,7 @@ def _in_one_program(
     return whole(inputs, jax.tree.map(lambda leaf: leaf.reshape((-1,) + leaf.shape[2:])[: items.shape[0]], stacked))
 
 
-@eqx.filter_jit
+@program
 def _joined(whole: Callable[[Any, Any], Any], inputs: Any, results: list[Any], rows: bool) -> Any:
     join = jnp.concatenate if rows else jnp.stack
     return whole(inputs, jax.tree.map(lambda *leaves: join(leaves), *results))
@@ -150,7 +151,7 @@ def _rows(items: np.ndarray, count: int) -> np.ndarray:
     return np.pad(items, (0, -items.shape[0] % count), mode="edge").reshape(-1, count)
 
 
-@eqx.filter_jit
+@program
 def _on_devices(function: Callable[[Any, Array], Any], inputs: Any, row: Array, devices: Mesh) -> Any:
     """One item on each device; results [device, ...], the same in all processes."""
     arrays, rest = eqx.partition(inputs, eqx.is_array)

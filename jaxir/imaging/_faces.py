@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import enforce, known
+from jaxir._programs import program
 from jaxir.geometry import view_frame
 from jaxir.geometry.search import is_convex
 from jaxir.optics.spectrum import Band, Nodes
@@ -64,7 +64,7 @@ def unoccluded_intensity(
     return _summed(scene, enforce(nodes, scene.checks_on(nodes)), view_frame(azimuth, elevation))
 
 
-@eqx.filter_jit
+@program
 def _summed(scene: Scene, nodes: Nodes, frame: Array) -> Array:
     assert scene.skin is not None
     lit, toward = on_nodes(scene, nodes), frame[2]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxir._math import safe_sqrt
+from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._left_out import Asked
@@ -126,12 +126,12 @@ class Image(eqx.Module):
         return jnp.zeros_like(intensity) if self.orders is None else truncated_share(self.orders, intensity)
 
 
-@jax.jit
+@program
 def _intensity(camera: Camera, radiance: Array, empty: Array) -> Float[Array, " band"]:
     return jnp.sum((radiance - empty) * camera.pixel_area()[:, :, None], axis=(0, 1))
 
 
-@partial(jax.jit, static_argnames="names")
+@program
 def _by_component(camera: Camera, parts: Array, empty: Array, names: tuple[str, ...]) -> Float[Array, "component band"]:
     own = [parts[:, :, k] for k in range(len(names))]
     path = own.pop() if names[-1] == AIR else jnp.zeros_like(empty)
@@ -141,13 +141,13 @@ def _by_component(camera: Camera, parts: Array, empty: Array, names: tuple[str, 
     return jnp.stack([*found, *([jnp.zeros_like(found[0])] if names[-1] == AIR else [])])
 
 
-@jax.jit
+@program
 def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, "*component band"]:
     area = camera.pixel_area().reshape(*standard_error.shape[:2], *(1,) * (standard_error.ndim - 2))
     return safe_sqrt(jnp.sum((standard_error * area) ** 2, axis=(0, 1)))
 
 
-@jax.jit
+@program
 def truncated_share(orders: Float[Array, "*view 2 band"], intensity: Float[Array, "*view band"]) -> Array:
     """What is left out beyond the last order of scattering, as a share of the intensity [*view, band].
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import placed
 from jaxir._math import safe_sqrt
+from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.geometry.search import is_convex
 from jaxir.imaging._quadrature import quadrature_error, refined
@@ -93,7 +94,7 @@ def _skin_is_lit_by_parts(scene: Scene) -> bool:
     return not all(is_convex(vertices, side) for side in sides)
 
 
-@eqx.filter_jit
+@program
 def left_out(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Float[Array, "view band"]:
     """About what more bounces would add to the intensity of views [view, band] [W sr-1].
 

@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, enforce
 from jaxir._fields import require_count
+from jaxir._programs import program
 from jaxir.geometry import Rays, view_frame
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene, on_nodes, scene_nodes
@@ -54,7 +54,7 @@ def plume_intensity(
     return _integrated(scene, enforce(nodes, scene.checks_on(nodes)), view_frame(azimuth, elevation), rays)
 
 
-@eqx.filter_jit
+@program
 def _integrated(scene: Scene, nodes: Nodes, frame: Array, rays: int) -> Array:
     lit, extent = on_nodes(scene, nodes), scene.extent()
     through, area = entering(extent.min(axis=0), extent.max(axis=0), frame[2], rays)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Scene, on_nodes
@@ -29,7 +29,7 @@ def refined(scene: Scene) -> list[tuple[AbstractPlume, Scene]]:
     ]
 
 
-@eqx.filter_jit
+@program
 def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera) -> Float[Array, "view band"]:
     """About what the quadrature of the plumes errs in the intensity of views [view, band] [W sr-1].
 

@@ -15,6 +15,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxir._arrays import as_float, enforce, is_traced, key_or_default, placed
+from jaxir._programs import program
 from jaxir.geometry import Camera, fitted_camera, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_eye, whole_image
@@ -279,14 +280,14 @@ def _checked(
     return aspect, enforce(nodes, checks), as_float(distance, "distance")
 
 
-@eqx.filter_jit
+@program
 def _reach(scene: Scene, aspect: Array, shape: tuple[int, int], distance: Array) -> Array:
     """How far the scene reaches towards the eyes of cameras that hold it [view]."""
     extent = scene.extent()
     return jax.vmap(lambda a: reach_to_eye(scene, fitted_camera(a[0], a[1], extent, shape, distance)))(aspect)
 
 
-@eqx.filter_jit
+@program
 def _prepared(
     scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array
 ) -> tuple[Lit, Camera, Array]:
@@ -296,7 +297,7 @@ def _prepared(
     return lit, cameras, jax.vmap(lambda camera: reach_to_eye(scene, camera))(cameras)
 
 
-@eqx.filter_jit
+@program
 def view_intensity(views: Views, item: Int[Array, ""]) -> tuple[Array, ...]:
     """Contrast intensity of one view, its standard error, the share left out [band]; by component, with errors.
 

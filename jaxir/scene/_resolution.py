@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import fingerprint, is_traced, require
 from jaxir._cache import keep, kept
+from jaxir._programs import program
 from jaxir.geometry import Rays
 from jaxir.optics.spectrum import (
     RESOLUTIONS,
@@ -159,7 +160,7 @@ def _value(leaf: Array) -> Array:
     return leaf
 
 
-@eqx.filter_jit
+@program
 def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
     """In-band radiance, means of the probing rays of a direction, of what lies behind them, and of the skin alone."""
     lit = on_nodes(scene, nodes)

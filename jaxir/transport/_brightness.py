@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
+from jaxir._programs import program
 from jaxir.geometry import Brightness, Camera, graded_camera
 from jaxir.geometry.search import face_normal
 from jaxir.scene import Lit
@@ -92,7 +92,7 @@ def _centres(cuts: int) -> np.ndarray:
     return np.concatenate([1 - two.sum(axis=1, keepdims=True), two], axis=1)
 
 
-@eqx.filter_jit
+@program
 def graded_cameras(lit: Lit, aspect: Float[Array, "view 2"], shape: tuple[int, int], distance: Any) -> Camera:
     """Cameras [view] that hold the scene and are graded by its brightness, for intensities; see `graded_camera`.
 

@@ -25,6 +25,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import fingerprint, is_traced
 from jaxir._fields import by_band, over_nodes
 from jaxir._math import dot
+from jaxir._programs import program
 from jaxir.geometry import Rays
 from jaxir.geometry.search import face_normal
 from jaxir.medium import AbstractMedium
@@ -108,7 +109,7 @@ def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
 _held: dict[tuple, AbstractMedium] = {}
 
 
-@eqx.filter_jit
+@program
 def _solved(lit: Lit, method: Method) -> AbstractMedium:
     assert method.scattering is not None
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check
 from jaxir._fields import Physical, SpectralLight, count, light, quantity
+from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Independent
 from jaxir.geometry.search import Mesh, face_normal
 from jaxir.scene import Scene
@@ -223,7 +223,7 @@ class Method(Physical):
         return [*self.checks(), *closed]
 
 
-@eqx.filter_jit
+@program
 def _closed_form_checks(scene: Scene) -> list[Check]:
     """Conditions of the closed form, compiled, because it looks at every pair of face and vertex."""
     if scene.skin is None:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxir._programs import program
 from jaxir.geometry import TILE, Camera
 from jaxir.geometry.search._mesh import Mesh, closest_hit
 from jaxir.geometry.search._outline import clear_of
 from jaxir.geometry.search._tree import WIDTH
 
 
-@eqx.filter_jit
+@program
 def visible_faces(mesh: Mesh, camera: Camera) -> Int[Array, "row column"]:
     """The face that the centre of each pixel sees, -1 for none: turns values of faces into an image.
 

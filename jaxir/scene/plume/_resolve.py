@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -10,6 +9,7 @@ from jaxtyping import Array
 
 from jaxir._arrays import as_float, enforce
 from jaxir._math import frame_around
+from jaxir._programs import program
 from jaxir.geometry import Rays
 from jaxir.medium import JetMedium
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
@@ -20,7 +20,7 @@ _SAMPLE_ANGLES = np.deg2rad([0.0, 3.0, 15.0, 45.0, 90.0, 135.0, 165.0, 177.0, 18
 _SAMPLE_RAYS = 128
 
 
-@eqx.filter_jit
+@program
 def _sampled(medium: JetMedium) -> tuple[Array, Array]:
     """Radiance and transmittance of rays through points spread over the jet, at angles with its axis [view, ray, node].
 

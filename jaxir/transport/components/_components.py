@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import placed
 from jaxir._fields import brightened
+from jaxir._programs import program
 from jaxir.medium import AbstractMedium
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene
@@ -164,7 +165,7 @@ def with_own_media(scene: Scene, nodes: Nodes, method: Method, components: Compo
     return dataclasses.replace(components, media=_own_media(scene, nodes, method, components))
 
 
-@eqx.filter_jit
+@program
 def _own_media(scene: Scene, nodes: Nodes, method: Method, components: Components) -> AbstractMedium:
     lit = scene_on_nodes(scene, nodes)
 
