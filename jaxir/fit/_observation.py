@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from jaxir._arrays import placed
 from jaxir._programs import program
 from jaxir.fit._drift import density_ratio, effective_share
 from jaxir.fit._measurement import Measurement
@@ -142,8 +143,7 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
     blocks = 1 if measurement.per_pixel or merging else BLOCKS
     views = []
     for view in range(measurement.cameras.pixel.shape[0]):
-        camera = jax.tree.map(lambda leaf, index=view: leaf[index], measurement.cameras)
-        rays = _rays_of_view(scene, camera, jax.random.fold_in(for_pixels, view), measurement.samples)
+        rays = _rays_of_view(scene, measurement.cameras, placed(np.int32(view)), for_pixels, measurement.samples)
         views.append(_with_rows(rays, view, measurement, blocks))
     rays = jax.tree.map(lambda *leaves: np.concatenate(leaves), *views)
     crosses, on_skin = np.asarray(rays.crosses), np.asarray(rays.face) >= 0
@@ -166,6 +166,7 @@ def _lit_by_others(scene: Scene, measurement: Measurement) -> bool:
     return bool(scene.delta_sources) or method.direct is not None or method.bounces > 0
 
 
+@program
 def _widened(measurement: Measurement, scene: Scene) -> Camera:
     """Cameras of intensities with pixels large enough for images that hold the scene; other cameras as they are."""
     cameras = measurement.cameras
@@ -192,11 +193,12 @@ class ViewRays(eqx.Module):
 
 
 @program
-def _rays_of_view(scene: Scene, camera: Camera, key: Array, samples: int) -> ViewRays:
+def _rays_of_view(scene: Scene, cameras: Camera, view: Int[Array, ""], key: Array, samples: int) -> ViewRays:
     """All rays of one view, along a curve that fills its image.
 
     Weights are those of an intensity, `group` is pixel + (number of pixels) * half, or -1.
     """
+    camera, key = jax.tree.map(lambda leaf: leaf[view], cameras), jax.random.fold_in(key, view)
     tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
     offset = pixel_samples(key, tile.shape[0], samples)
     count = 2 * offset.shape[0]
@@ -266,7 +268,7 @@ def _alike(scene: Scene, measurement: Measurement) -> bool:
     So they have where they have one direction and light comes from parallel sources alone.
     """
     parallel = all(source.travel is not None for source in scene.delta_sources)
-    far = not bool((measurement.cameras.inverse_range > 0).any())
+    far = not bool((np.asarray(measurement.cameras.inverse_range) > 0).any())
     return far and parallel and not measurement.method.resolved(scene).needs_key(scene)
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, Key
 
 from jaxir._arrays import as_float, enforce, key_or_default
 from jaxir._fields import require_part
+from jaxir._programs import program
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._observation import Observation, observe
 from jaxir.fit._parameter import AbstractParameter, Coordinates
@@ -83,10 +84,12 @@ def _observed(
 
 def _outline_moves(coordinates: Coordinates) -> bool:
     """Whether a parameter moves the outline of a plume."""
-    if not coordinates.start.plumes:
-        return False
+    return bool(coordinates.start.plumes) and bool(_moves(coordinates))
 
+
+@program
+def _moves(coordinates: Coordinates) -> Array:
     def outline(z: Array) -> Array:
         return jnp.concatenate([plume.extent() for plume in coordinates.scene(coordinates.values(z)).plumes])
 
-    return bool((jax.jacfwd(outline)(coordinates.origin()) != 0).any())
+    return (jax.jacfwd(outline)(coordinates.origin()) != 0).any()

@@ -27,7 +27,7 @@ import optimistix as optx
 from jax import lax
 from jaxtyping import Array, Float, Key
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, placed
 from jaxir._programs import program
 from jaxir.fit._concurrent import side_by_side
 from jaxir.fit._measurement import Measurement
@@ -278,7 +278,8 @@ def _chosen(observed: Observation) -> tuple[ViewRays | None, ViewRays | None]:
     weight, part = (np.asarray(x, np.float64) for x in (through.weight, parts))
     group = np.broadcast_to(np.asarray(through.group)[..., None], weight.shape).reshape(-1)
     weight, part = weight.reshape(-1), part.reshape(-1, part.shape[-1])
-    face = np.asarray(jax.vmap(lambda paths: paths.face)(through.paths)).reshape(-1)
+    segments = through.paths.segments  # [chunk, segment, place, ...], of which the first end at the eye
+    face = np.full(weight.size, -1) if segments.vertex is None else np.asarray(segments.vertex.face)[:, 0].reshape(-1)
     free, on_skin = np.flatnonzero((face < 0) & (weight > 0)), np.flatnonzero((face >= 0) & (weight > 0))
     blocks, of_block, count = np.unique(group[free], return_inverse=True, return_counts=True)
     free = free[np.argsort(of_block, kind="stable")]
@@ -302,11 +303,11 @@ def _chosen(observed: Observation) -> tuple[ViewRays | None, ViewRays | None]:
         scaled = weight.copy()
         scaled[free[kept]] *= picks[kept] / (count * share[kept])
         index = np.concatenate([on_skin, free[kept]])
-        rays = jax.tree.map(lambda leaf: leaf.reshape(-1, 3)[index], jax.vmap(lambda paths: paths.rays)(through.paths))
+        rays = jax.tree.map(lambda leaf: placed(np.asarray(leaf)[:, 0].reshape(-1, 3)[index]), segments.rays)
         # all in the first block: only their sums count, and few blocks of few rays would be of another shape every time
-        group_of, face_of = jnp.asarray(group[index] % halves, jnp.int32), jnp.asarray(face[index], jnp.int32)
-        scaled_weight = jnp.asarray(scaled[index], through.weight.dtype)
-        return ViewRays(rays, scaled_weight, group_of, face_of, jnp.ones(index.size, bool))
+        group_of, face_of = (x[index].astype(np.int32) for x in (group % halves, face))
+        scaled_weight = scaled[index].astype(through.weight.dtype)
+        return ViewRays(rays, *map(placed, (scaled_weight, group_of, face_of, np.ones(index.size, bool))))
 
     return about(LEADING, EVEN), about(STEERING, EVEN_STEERING)
 

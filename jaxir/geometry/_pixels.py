@@ -28,25 +28,26 @@ def pixel_strata(samples: int) -> tuple[int, int]:
 
 
 def stratum_points(
-    key: Key[Array, ""], index: Int[Array, ""], tiles: int, strata: tuple[int, int]
-) -> Float[Array, "2 tile pixel 2"]:
-    """The two random points of one stratum, for all pixels of some tiles, as places in (0, 1) inside the pixels.
+    key: Key[Array, ""], index: Int[Array, " stratum"], tiles: int, strata: tuple[int, int]
+) -> Float[Array, "stratum 2 tile pixel 2"]:
+    """The two random points of some strata, for all pixels of some tiles, as places in (0, 1) inside the pixels.
 
     One random word serves both coordinates: points lie in the middles of 65536 x 65536 cells of the stratum.
     """
     cells = as_float(np.array(strata))
-    corner = jnp.stack([index % strata[0], index // strata[0]]).astype(cells.dtype)
-    word = jax.random.bits(jax.random.fold_in(key, index), (2, tiles, TILE * TILE), jnp.uint32)
+    corner = jnp.stack([index % strata[0], index // strata[0]], axis=-1).astype(cells.dtype)
+    shape = (*index.shape, 2, tiles, TILE * TILE)
+    word = jax.random.bits(key, (math.prod(shape),), jnp.uint32).reshape(shape)  # more axes compile for a second
     halves = jnp.stack([word >> 16, word & 0xFFFF], axis=-1)
     jitter = (halves.astype(cells.dtype) + 0.5) / 65536
-    return (corner[None, None, None, :] + jitter) / cells[None, None, None, :]
+    return (corner[:, None, None, None] + jitter) / cells
 
 
 def pixel_samples(key: Key[Array, ""], tiles: int, samples: int) -> Float[Array, "stratum 2 tile pixel 2"]:
     """Places inside pixels in [0, 1): two independent points in each of samples / 2 strata."""
     strata = pixel_strata(samples)
     index = jnp.arange(strata[0] * strata[1], dtype=jnp.int32)
-    return jax.vmap(lambda i: stratum_points(key, i, tiles, strata))(index)
+    return stratum_points(key, index, tiles, strata)
 
 
 def tile_rays(

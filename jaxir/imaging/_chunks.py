@@ -269,7 +269,7 @@ def _estimate(
 
     def group(carry: tuple[Seen, Varied], first: Array) -> tuple[tuple[Seen, Varied], None]:
         index = first + jnp.arange(some, dtype=jnp.int32)
-        offset = jax.vmap(lambda i: stratum_points(for_pixels, i, size, strata))(index)
+        offset = stratum_points(jax.random.fold_in(for_pixels, first), index, size, strata)
         bundle = tile_rays(camera, tile, offset, start)
         seen = jax.tree.map(
             lambda value: value.reshape((size, TILE * TILE, some, 2, *value.shape[1:])),

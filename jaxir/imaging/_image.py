@@ -118,12 +118,10 @@ class Image(eqx.Module):
     def truncation(self) -> Float[Array, " band"]:
         """Share of the radiant intensity that is left out of what particles scatter, estimated [band].
 
-        Of orders of scattering beyond the last, see `truncated_share`, or `unresolved`; 0 without particles.
+        Of orders of scattering beyond the last, see `truncated_share`, or `unresolved`, with what the last order
+        changed where what a lattice errs is sampled; 0 without particles.
         """
-        if self.unresolved is not None:
-            return self.unresolved
-        intensity = self.radiant_intensity()
-        return jnp.zeros_like(intensity) if self.orders is None else truncated_share(self.orders, intensity)
+        return left_out(self.orders, self.unresolved, self.radiant_intensity())
 
 
 @program
@@ -145,6 +143,16 @@ def _by_component(camera: Camera, parts: Array, empty: Array, names: tuple[str, 
 def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, "*component band"]:
     area = camera.pixel_area().reshape(*standard_error.shape[:2], *(1,) * (standard_error.ndim - 2))
     return safe_sqrt(jnp.sum((standard_error * area) ** 2, axis=(0, 1)))
+
+
+@program
+def left_out(orders: Array | None, unresolved: Array | None, intensity: Array) -> Array:
+    """See `Image.truncation`; of the last two orders of scattering, `unresolved` and the intensity."""
+    if orders is None:
+        return jnp.zeros_like(intensity) if unresolved is None else unresolved
+    if unresolved is None:
+        return truncated_share(orders, intensity)
+    return unresolved + jnp.abs(orders[..., 0, :]) / jnp.where(intensity != 0, jnp.abs(intensity), 1)
 
 
 @program

@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Array
 
-from jaxir._arrays import placed
+from jaxir._arrays import as_float, placed
 from jaxir.imaging._chunks import Estimate, Pass, as_number, estimate_chunk
-from jaxir.imaging._image import truncated_share
+from jaxir.imaging._image import left_out
 
 CHUNKS = 8  # of a pilot; all of a small image
 SECONDS = 2.0  # after which a pilot takes no more chunks
@@ -27,8 +28,7 @@ class Pilot(NamedTuple):
         variance: of it [band].
         seconds: without compiling.
         compile_seconds: until the first chunk was there.
-        truncation: share of the intensity beyond the last order of scattering [band], see `truncated_share`; 0 where
-            particles are not sampled.
+        truncation: share of the intensity that is left out of what particles scatter [band], see `Image.truncation`.
     """
 
     intensity: np.ndarray
@@ -38,8 +38,13 @@ class Pilot(NamedTuple):
     truncation: np.ndarray
 
 
-def pilot(taken: Pass) -> Pilot:
-    """Compute some chunks of a pass; each is a systematic sample of the image's tiles, so few stand for all."""
+def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
+    """Compute some chunks of a pass; each is a systematic sample of the image's tiles, so few stand for all.
+
+    Args:
+        taken: the pass.
+        unresolved: `lattice_error` of the image [band].
+    """
     chunks, taken = taken.chunks(), taken._replace(number=as_number(OF_PILOTS))
     compiled = _timed(taken, chunks[0])[1]
     sums, times = [], []
@@ -50,7 +55,8 @@ def pilot(taken: Pass) -> Pilot:
         if sum(times) > SECONDS:
             break
     intensity, variance, orders = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
-    left = np.asarray(truncated_share(orders, intensity)) if taken.method.orders else np.zeros_like(intensity)
+    sampled = taken.method.samples_particles(taken.lit.scene)
+    left = np.asarray(left_out(as_float(orders) if sampled else None, unresolved, as_float(intensity)))
     return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled, left)
 
 

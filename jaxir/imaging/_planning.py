@@ -7,13 +7,13 @@ import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
 from jaxir._arrays import enforce, float_dtype, is_traced, key_or_default, require
+from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Camera, Sobol, pixel_strata
 from jaxir.imaging._chunks import Pass, first_pass
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
@@ -182,8 +182,11 @@ class _Trial(NamedTuple):
 
 
 def _trial(first: Pass, solving: float = 0.0) -> _Trial:
-    found, lattice = pilot(first), eqx.filter_jit(lattice_error)(first.lit, first.camera)
-    return _Trial(first, found, float(np.max(found.truncation if lattice is None else lattice)), solving)
+    found = pilot(first, _lattice_error(first.lit, first.camera))
+    return _Trial(first, found, float(np.max(found.truncation)), solving)
+
+
+_lattice_error = program(lattice_error)
 
 
 def _ways_to_scatter(first: Pass, rtol: float, most: int) -> list[_Trial]:

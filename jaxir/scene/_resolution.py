@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import fingerprint, is_traced, require
+from jaxir._arrays import as_float, fingerprint, is_traced, require
 from jaxir._cache import keep, kept
 from jaxir._programs import program
 from jaxir.geometry import Rays
@@ -173,21 +173,19 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
         return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([behind[1:] if len(behind) > 1 else behind, *lights])))
     corners = scene.extent()
     low, high = corners.min(axis=0), corners.max(axis=0)
-    place = jnp.asarray((np.indices((_ACROSS, _ACROSS)).reshape(2, -1).T + 0.5) / _ACROSS, low.dtype)
-    results = [lit.dimmed_by_air(light) for light in lights]
-    for toward in _DIRECTIONS:
-        axis = int(np.argmax(np.abs(toward)))
-        others = [k for k in range(3) if k != axis]
-        through = jnp.zeros((len(place), 3), low.dtype).at[:, axis].set(0.5)
-        through = through.at[:, np.array(others)].set(place)
-        direction = jnp.broadcast_to(jnp.asarray(toward, low.dtype), through.shape)
-        back = jnp.sqrt(jnp.sum((high - low) ** 2))
-        rays = Rays(low[None] + through * (high - low)[None] - back * direction, direction)
-        far = jnp.full(rays.count, jnp.inf, low.dtype)
-        passed = lit.medium.transmittance(rays, far).mean(axis=0)
-        shine = lit.medium.radiance(rays, far, jnp.broadcast_to(dark, (rays.count, nodes.count))).mean(axis=0)
-        results.append(lit.dimmed_by_air(shine[None] + passed[None] * behind))
-    return nodes.in_band(jnp.concatenate(results))
+    place = (np.indices((_ACROSS, _ACROSS)).reshape(2, -1).T + 0.5) / _ACROSS
+    through = np.full((len(_DIRECTIONS), len(place), 3), 0.5)
+    for own, toward in zip(through, _DIRECTIONS, strict=True):
+        own[:, np.arange(3) != np.argmax(np.abs(toward))] = place
+    direction = as_float(np.repeat(np.asarray(_DIRECTIONS), len(place), axis=0))
+    back = jnp.sqrt(jnp.sum((high - low) ** 2))
+    rays = Rays(low[None] + as_float(through.reshape(-1, 3)) * (high - low)[None] - back * direction, direction)
+    far = jnp.full(rays.count, jnp.inf, low.dtype)
+    unlit = jnp.broadcast_to(dark, (rays.count, nodes.count))
+    each = (lit.medium.transmittance(rays, far), lit.medium.radiance(rays, far, unlit))
+    passed, shine = (x.reshape(len(_DIRECTIONS), -1, nodes.count).mean(axis=1)[:, None] for x in each)
+    seen = (shine + passed * behind[None]).reshape(-1, nodes.count)
+    return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([*lights, seen])))
 
 
 def _lights(scene: Scene, lit: Lit) -> list[Float[Array, "_light node"]]:

@@ -4,9 +4,10 @@ With b_k the throughput of segment k (b_0 = 1), A_k what segment k brings withou
 scattered once, and what leaves the skin at its end or surrounds the scene), D_k the direct light where particles
 scatter the path, and T the transmittance up to where it goes on,
 
-    L = sum_k b_k (A_k + e_k D_k),    e_k = T scattering / pdf_length,
+    L = sum_k b_k (A_k + e_k (D_k - E_k)),    e_k = T scattering / pdf_length,
     b_(k+1) = b_k (e_k phase / pdf, or T brdf cos / (pdf chance)).
 
+E_k is 0, or what a lattice of scattered light says of D_k and of what segment k + 1 brings, which is in A_k already.
 Densities are those of the trace; scattering, T, phase, brdf and emission carry the derivatives.
 """
 
@@ -34,7 +35,7 @@ from jaxir.transport._lights import SampledLight, emitted, lights_at_particles, 
 from jaxir.transport._method import ClosedForm, Method
 from jaxir.transport._paths import LightSamples, Paths, Scattering, Segment, Vertex
 from jaxir.transport._trace import trace
-from jaxir.transport.ordinates import scattered
+from jaxir.transport.ordinates import Scattered, scattered
 
 T = TypeVar("T")
 
@@ -113,8 +114,10 @@ _held: dict[tuple, AbstractMedium] = {}
 def _solved(lit: Lit, method: Method) -> AbstractMedium:
     assert method.scattering is not None
 
+    alone = dataclasses.replace(method, orders=0, scattering=dataclasses.replace(method.scattering, orders=0))
+
     def arriving(lit: Lit, rays: Rays) -> Array:
-        paths = trace(lit.scene, rays, method, jax.random.key(0))
+        paths = trace(lit.scene, rays, alone, jax.random.key(0))
         around = jnp.ones(paths.length.shape, bool) if paths.first.sees_surroundings is None else None
         segment = dataclasses.replace(paths.first, sees_surroundings=around)
         return _brings(lit, paths, segment, False, True)
@@ -170,6 +173,8 @@ def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment,
         sums = added(sums, throughput * brought, segment, index, 0)
         if segment.scattering is not None:
             direct = _direct_at_particles(lit, method, segment, segment.scattering)
+            if method.scattering is not None:
+                direct = direct - _expected_at_particles(lit, segment, segment.scattering)
             sums = added(sums, throughput * event * direct, segment, index, 1)
         return (sums, throughput * _onward(lit, segment, passed, event)), None
 
@@ -264,7 +269,7 @@ def _direct_at_particles(lit: Lit, method: Method, segment: Segment, at: Scatter
     assert lit.medium is not None
     medium, point, along = lit.medium, segment.rays.at(at.t), segment.rays.direction
     total = jnp.zeros((point.shape[0], lit.nodes.count), point.dtype)
-    for place, source in enumerate(lit.scene.sampled_beams):
+    for place, source in enumerate(method.sampled_beams(lit.scene)):
         beam = jnp.where(at.visible[place][:, None], jax.vmap(source.beam)(point), 0)
         passed = lit.transmittance(point, at.omega[place], jnp.where(at.visible[place], at.distance[place], 0))
         total = total + medium.scattering(point, dot(at.omega[place], along)) * beam * passed
@@ -275,6 +280,14 @@ def _direct_at_particles(lit: Lit, method: Method, segment: Segment, at: Scatter
     for light, samples in zip(lights_at_particles(lit.scene, method), at.lights, strict=True):
         total = total + _found(lit, light, samples, point, spread)
     return total
+
+
+def _expected_at_particles(lit: Lit, segment: Segment, at: Scattering) -> Array:
+    """What the lattice says of the light that `_direct_at_particles` and the next segment find [ray, node]."""
+    assert isinstance(lit.medium, Scattered) and segment.omega is not None and segment.inverse_pdf is not None
+    point, along = segment.rays.at(at.t), segment.rays.direction
+    found = lit.medium.expected(point, along, segment.omega)
+    return found * segment.inverse_pdf[:, None] + lit.medium.expected_beams(point, along)
 
 
 # What leaves the skin -------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Independent
 from jaxir.geometry.search import Mesh, face_normal
 from jaxir.scene import Scene
+from jaxir.scene.light import AbstractDeltaSource
 
 
 class DirectSampling(Physical):
@@ -91,6 +92,11 @@ class DiscreteOrdinates(Physical):
     Costs some 15 times along across^2 (2 order + 2) (2 order + 3) rays once for a scene, and a few times more for a ray
     than a plume without particles.
 
+    With `orders` what the lattice errs is sampled instead of told: paths are scattered so often at most, and where a
+    path is scattered the light that it finds stands in the place of what the lattice says of the same place and
+    direction. That has no bias however coarse the lattice, and the little noise of a difference; the light that is
+    scattered more often is the lattice's, which `Image.truncation` judges by what the last order changed.
+
     Sources with an extent at a finite distance are not for it: sample (`Method.orders`).
 
     Attributes:
@@ -98,11 +104,13 @@ class DiscreteOrdinates(Physical):
         across: and across it.
         order: degree of the harmonics that hold the radiance, see `jaxir.transport.ordinates`. What is scattered
             forward in a lobe narrower than 180 / order degrees counts as not scattered.
+        orders: how often at most paths are scattered that sample what the lattice errs; 0 for the lattice alone.
     """
 
     along: int = count(4, default=25)
     across: int = count(4, default=7)
     order: int = count(1, default=3)
+    orders: int = count(0, default=0)
 
 
 class Method(Physical):
@@ -136,8 +144,8 @@ class Method(Physical):
             also with 0 bounces, and `ambient` stands for what skin reflects, no longer for what it emits. None: it is
             met where paths lead.
         plume_light: how the plume's emission is looked for from skin by `direct`, in the same way.
-        scattering: how light scattered by particles is found without samples; then `orders` has no meaning. None:
-            it is sampled.
+        scattering: how light scattered by particles is found on a lattice; then `orders` has no meaning. None: it is
+            sampled.
     """
 
     direct: DirectSampling | ClosedForm | None = DirectSampling()
@@ -177,7 +185,7 @@ class Method(Physical):
             self,
             direct=self.direct if looked_for else None,
             bounces=self.bounces if skin else 0,
-            orders=self.orders if self.samples_particles(scene) else 0,
+            orders=self._sampled_orders if self.samples_particles(scene) else 0,
             scattering=self.scattering if scene.scatters else None,
             ambient=self.ambient if skin else None,
             skin_light=skin_light,
@@ -202,11 +210,19 @@ class Method(Physical):
         """Directions recorded for each ray."""
         lights = len(scene.extended_lights) + (self.skin_light is not None) + (self.plume_light is not None)
         at_skin = max(1, lights * sum(self.counts)) * (1 + self.bounces)
-        return at_skin + (self.orders if self.samples_particles(scene) else 0)
+        return at_skin + (self._sampled_orders if self.samples_particles(scene) else 0)
+
+    @property
+    def _sampled_orders(self) -> int:
+        return self.orders if self.scattering is None else self.scattering.orders
 
     def samples_particles(self, scene: Scene) -> bool:
-        """Whether what particles scatter is sampled, up to `orders` times."""
-        return scene.scatters and self.scattering is None
+        """Whether what particles scatter is sampled, or what a lattice errs of that."""
+        return scene.scatters and (self.scattering is None or self.scattering.orders > 0)
+
+    def sampled_beams(self, scene: Scene) -> tuple[AbstractDeltaSource, ...]:
+        """Sources without extent whose light is looked for where particles scatter paths."""
+        return scene.sampled_beams if self.scattering is None else scene.delta_sources
 
     def checks_for(self, scene: Scene) -> list[Check]:
         """What must hold of the method's values, and of the scene's for the method to suit it.

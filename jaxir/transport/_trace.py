@@ -115,7 +115,7 @@ def _step(scene: Scene, method: Method, state: _State, drawn: _Drawn) -> tuple[_
         point = state.rays.at(place.t)
         found, from_particle = _look_from_particles(scene, method, state.rays, point, hits, for_lights)
         scattering = Scattering(
-            place.t, place.inverse_pdf, state.scattered, *_look_for_deltas(scene, point, hits), found
+            place.t, place.inverse_pdf, state.scattered, *_look_for_deltas(scene, method, point, hits), found
         )
         onward = from_particle if onward is None else _either(hits, from_particle, onward, place.passing)
     here = (state.rays, state.length, vertex, scattering, state.sees_surroundings, state.sees_plume)
@@ -198,10 +198,10 @@ def _look_from_particles(
     return sample_direct(scene, method, lights_at_particles(scene, method), at, spread, key, go_on)
 
 
-def _look_for_deltas(scene: Scene, point: Array, active: Array) -> tuple[Array, Array, Array]:
+def _look_for_deltas(scene: Scene, method: Method, point: Array, active: Array) -> tuple[Array, Array, Array]:
     """Directions and distances of sources without extent that are not summed, and whether points see them."""
     found = []
-    for source in scene.sampled_beams:
+    for source in method.sampled_beams(scene):
         omega, distance = jax.vmap(source.toward)(point)
         seen = active & (distance > 0)
         if scene.skin is not None:

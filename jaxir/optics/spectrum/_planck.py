@@ -34,7 +34,7 @@ STEFAN = FIRST_RADIATION / SECOND_RADIATION**4  # K [W m-2 sr-1 K-4]; sigma = pi
 _STRETCH = 6.0
 _POINTS = {4: 10, 8: 40}  # Gauss-Legendre points by dtype size
 _BLOCK = 512  # temperatures
-_WRITTEN_OUT = 10  # points that are terms of one expression; more would take long to compile
+_WRITTEN_OUT = 10  # points that are terms of one expression, of `_BLOCK` temperatures or more
 
 
 def spectral_radiance(
@@ -184,8 +184,9 @@ def _with_slope(temperature: Array, lead: Array, rest: Array, width: Array) -> t
         brought = term(*pair)
         return (sums[0] + brought[0], sums[1] + brought[1]), None
 
-    # A few terms, written out, are one loop over the batch; an axis of points would become short sums, slow ones.
-    if point.size <= _WRITTEN_OUT:
+    # A few terms, written out, are one loop over a long batch, which a loop over points exceeds by a fifth; of a short
+    # one each may be a program of its own. An axis of points would become short sums, slow ones.
+    if point.size <= _WRITTEN_OUT and temperature.size >= _BLOCK:
         integral, rising = reduce(lambda sums, pair: added(sums, pair)[0], zip(*pairs, strict=True), dark)
     else:
         integral, rising = lax.scan(added, dark, tuple(as_float(values) for values in pairs))[0]

@@ -13,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, on_host
+from jaxir._math import dot
 from jaxir.geometry import Camera, Rays, harmonics
 from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, radiance_between
 from jaxir.scene import Lit
@@ -46,10 +47,11 @@ class Part(eqx.Module):
     """One of `AbstractMedium.parts_with_particles` and the light in it.
 
     Attributes:
-        medium: without its forward lobe.
-        kept: share of scattering that is not forward [node].
+        medium: without its forward lobe; with it where what the lattice errs is sampled.
+        kept: share of its scattering that is in it [node].
         moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
-        rough: the same if there were fewer harmonics [read, few, node].
+        field: L_lm [read, harmonic, node]; None where what the lattice errs is not sampled.
+        rough: `moments` if there were fewer harmonics [read, few, node].
         lacking: what `unresolved` says that their mean over all directions lacks [read, 1, node].
         beams: of all sources without extent.
     """
@@ -57,6 +59,7 @@ class Part(eqx.Module):
     medium: AbstractScatterer
     kept: Float[Array, " node"]
     moments: Float[Array, "read harmonic node"]
+    field: Float[Array, "read harmonic node"] | None
     rough: Float[Array, "read few node"]
     lacking: Float[Array, "read 1 node"]
     beams: tuple[Beam, ...]
@@ -78,22 +81,26 @@ class Part(eqx.Module):
             tables: moments [read, some, node], of the first of the harmonics.
         """
         read = [self.read(point, toward[:, : table.shape[1]], table) for table in tables]
-        _, between, scattering = read[0]
+        straight = self.of_beams(point, direction, *read[0][1:])
+        return [found + straight for found, *_ in read]
+
+    def of_beams(self, point: Array, direction: Array, between: Between, scattering: Array) -> Array:
+        """What of J comes straight from sources without extent [ray, node]; see `read` for the last two."""
         phase = self.medium.lobe
         assert phase is not None
         straight = jnp.zeros_like(scattering)
         for beam in self.beams:
             irradiance, omega = beam.arriving(between, point)
-            lobe = jax.vmap(phase.eval)(jnp.sum(omega * direction, axis=-1))
+            lobe = jax.vmap(phase.eval)(dot(omega, direction))
             straight = straight + scattering * lobe / self.kept[None] * irradiance
-        return [found + straight for found, *_ in read]
+        return straight
 
 
 class Scattered(AbstractMedium):
     """A medium with the light that its particles scatter, however often, as part of its emission.
 
     Attributes:
-        medium: without forward lobes.
+        medium: without forward lobes; with them where what the lattice errs is sampled.
         parts: what scatters in it.
         order: highest degree of harmonics.
         residual: what the solution lacks of the equation, as a share of its first term, at most.
@@ -144,9 +151,7 @@ class Scattered(AbstractMedium):
 
         return radiance_between(cuts, rays, behind, coefficients)
 
-    def lacking(
-        self, rays: Rays
-    ) -> tuple[Float[Array, "ray node"], Float[Array, "ray node"], Float[Array, "ray node"]]:
+    def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], ...]:
         """Radiance of the plumes alone [ray, node], that of fewer harmonics, and what else it may lack.
 
         That is what `unresolved` sees for the lattice's coarseness, and `SLOW` times what changes as every piece of a
@@ -169,7 +174,33 @@ class Scattered(AbstractMedium):
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
         finer, rough, coarse = jnp.split(radiance_between(halved, rays, jnp.tile(dark, 3), coefficients), 3, axis=1)
-        return finer, rough, SLOW * jnp.abs(finer - self._between(cuts, rays, dark)) + coarse
+        return finer, rough, coarse, SLOW * jnp.abs(finer - self._between(cuts, rays, dark))
+
+    def expected(
+        self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"], omega: Float[Array, "ray 3"]
+    ) -> Float[Array, "ray node"]:
+        """scattering * phase * L of light from `omega` that is scattered into rays `along` [ray, node].
+
+        Its integral over all directions is the part of J that `moments` hold. Light that comes straight from sources
+        without extent is not in it.
+        """
+        total = jnp.zeros((point.shape[0], self.parts[0].lacking.shape[2]), point.dtype)
+        toward = harmonics(-omega, self.order)
+        for part in self.parts:
+            assert part.field is not None
+            between = about(part.counts, part.medium.to_cube(point))
+            one = jnp.ones_like(total)[:, None]
+            field = collected(between.point[:, None], between.share[:, None], one, toward, part.field)
+            total = total + part.medium.scattering(point, dot(along, omega)) * field
+        return total
+
+    def expected_beams(self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """The part of J of rays `along` that comes straight from sources without extent [ray, node]."""
+        total = jnp.zeros((point.shape[0], self.parts[0].lacking.shape[2]), point.dtype)
+        for part in self.parts:
+            between, scattering = about(part.counts, part.medium.to_cube(point)), part.medium.scattering_at(point)
+            total = total + part.of_beams(point, along, between, scattering)
+        return total
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`; what is scattered forward passes."""
@@ -226,16 +257,19 @@ def solution_checks(lit: Lit) -> list[Check]:
 def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     """Share of the intensity of plumes in a camera's image that the lattice lacks [band].
 
-    It is what `Scattered.lacking` sees, and what changed from fewer harmonics to those there are. None where nothing
-    was solved for. What is in front of plumes is not looked for.
+    It is what `Scattered.lacking` sees, and what changed from fewer harmonics to those there are; where what the
+    lattice errs is sampled, what the pieces of rays err alone. None where nothing was solved for. What is in front of
+    plumes is not looked for.
     """
     if not isinstance(lit.medium, Scattered):
         return None
     start, edges = lit.scene.start(camera), as_float(np.array(list(np.ndindex(2, 2, 2))))
-    found = jnp.zeros((3, lit.nodes.count), camera.pixel.dtype)
+    found = jnp.zeros((4, lit.nodes.count), camera.pixel.dtype)
     for part in lit.medium.parts:
         screen, weight = camera.spread_over(part.medium.from_cube(edges), SIDE)
         rays = camera.bundle(screen, start).rays()
         found = found + jnp.stack([weight @ radiance for radiance in lit.medium.lacking(rays)])
-    whole, rough, missing = (lit.nodes.in_band(each) for each in found)
-    return (missing + jnp.abs(whole - rough)) / jnp.where(whole > 0, whole, 1)
+    whole, rough, coarse, pieces = (lit.nodes.in_band(each) for each in found)
+    if lit.medium.parts[0].field is not None:
+        return pieces / jnp.where(whole > 0, whole, 1)
+    return (coarse + pieces + jnp.abs(whole - rough)) / jnp.where(whole > 0, whole, 1)

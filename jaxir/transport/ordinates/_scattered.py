@@ -23,7 +23,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -71,9 +71,9 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     Differentiable, in both modes, in all that `lit` is differentiable in: the equation's solution has its own rule.
     """
     assert lit.medium is not None
-    order, nodes = ordinates.order, lit.nodes.count
-    moments = [_moments(part, order, nodes) for part in lit.medium.parts_with_particles]
-    medium = lit.medium.less_forward([forward for forward, *_ in moments])
+    order, nodes, given = ordinates.order, lit.nodes.count, lit.medium
+    moments = [_moments(part, order, nodes) for part in given.parts_with_particles]
+    medium = given.less_forward([own.forward for own in moments])
     lit = eqx.tree_at(lambda lit: lit.medium, lit, medium)
     parts, lattices = medium.parts_with_particles, [lattice_of(p, ordinates) for p in medium.parts_with_particles]
     sizes = [math.prod(lattice.solved) for lattice in lattices]
@@ -102,7 +102,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     def transported(table: Array, kept: Array) -> Array:
         """K of coefficients [point, harmonic, node] of the harmonics that are kept."""
         table = table * kept[None, :, None]
-        sent = [part * chi[None] for part, (_, chi, _) in zip(split(table), moments, strict=True)]
+        sent = [part * own.rest[None] for part, own in zip(split(table), moments, strict=True)]
         into = [jnp.einsum("dh,phn->dpn", lobes, part) for part in sent]
         once = jnp.ones((point.shape[0], 1), table.dtype)
 
@@ -133,23 +133,25 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     fewer = degree <= max(order - FEWER, 0)
     solutions, rests = lax.map(found, as_float(np.stack([degree >= 0, fewer])))
     each, rough = (split(x * scale - straight) for x in solutions)  # beams are scattered with the whole lobe
+    errs = ordinates.orders > 0  # and that is sampled, in the medium as it is
     held = tuple(
         Part(
-            medium=part,
-            kept=1 - forward,
-            moments=refined(lattice, table * chi[None]),
-            rough=lax.stop_gradient(refined(lattice, (few * chi[None])[:, fewer])),
+            medium=whole if errs else part,
+            kept=jnp.ones_like(own.forward) if errs else 1 - own.forward,
+            moments=refined(lattice, table * (own.all if errs else own.rest)[None]),
+            field=refined(lattice, table) if errs else None,
+            rough=lax.stop_gradient(refined(lattice, (few * own.rest[None])[:, fewer])),
             lacking=lax.stop_gradient(unresolved(lattice, table)),
-            beams=own,
+            beams=shining,
             counts=lattice.read,
         )
-        for part, lattice, table, few, own, (forward, chi, _) in zip(
-            parts, lattices, each, rough, beams, moments, strict=True
+        for whole, part, lattice, table, few, shining, own in zip(
+            given.parts_with_particles, parts, lattices, each, rough, beams, moments, strict=True
         )
     )
     step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
-    backward = jnp.max(jnp.stack([beyond for *_, beyond in moments]))
-    return Scattered(medium, held, order, *lax.stop_gradient((rests[0], step, backward)))
+    backward = jnp.max(jnp.stack([own.beyond for own in moments]))
+    return Scattered(given if errs else medium, held, order, *lax.stop_gradient((rests[0], step, backward)))
 
 
 def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
@@ -166,13 +168,25 @@ def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
     return jnp.min(jnp.stack(found))
 
 
-def _moments(medium: AbstractScatterer, order: int, nodes: int) -> tuple[Float[Array, " node"], Array, Array]:
-    """The share that is scattered straight on [node], the moments of the rest [harmonic, node], what lies beyond []."""
+class _Moments(NamedTuple):
+    """Legendre moments of a lobe, by harmonic.
+
+    `forward` is the share that is scattered straight on [node], `rest` and `all` are the moments of the rest and of the
+    whole lobe [harmonic, node], `beyond` is the largest of the rest that no harmonic holds [].
+    """
+
+    forward: Array
+    rest: Array
+    all: Array
+    beyond: Array
+
+
+def _moments(medium: AbstractScatterer, order: int, nodes: int) -> _Moments:
     assert medium.lobe is not None
     chi = jnp.broadcast_to(medium.lobe.moments(order + 1), (order + 2, nodes))
     forward = jnp.maximum(jnp.minimum(chi[-2], chi[-1]), 0)  # moments of a lobe backward change their sign
     rest = (chi - forward[None]) / (1 - forward)[None]
-    return forward, rest[degrees(order)], jnp.max(jnp.abs(rest[-1]))
+    return _Moments(forward, rest[degrees(order)], chi[degrees(order)], jnp.max(jnp.abs(rest[-1])))
 
 
 def _length(lit: Lit, rays: Rays) -> Float[Array, " ray"]:
