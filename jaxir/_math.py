@@ -41,6 +41,20 @@ def gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
     return (node + 1) / 2, weight / 2
 
 
+def in_kernels(value: Float[Array, "ray *more"]) -> Float[Array, "ray *more"]:
+    """`value` as it is, in a way that keeps XLA's CPU compiler from making one function of the loop around it.
+
+    A loop of small arrays is best one native function. Of one that holds a whole image's work the compiler makes a
+    function of some ten thousand lines, on one core, which takes as long as all else and runs no faster; it does not
+    where a loop sorts, nor, for the transpose, where it scatters. So two numbers are sorted by their places.
+    """
+    first = lax.slice_in_dim(value, 0, min(2, value.shape[0]))
+    flat = first.reshape(first.shape[0], -1)[:, 0]
+    again = lax.sort((jnp.arange(flat.shape[0], dtype=jnp.int32), flat), num_keys=1)[1]
+    kept = again.reshape((-1,) + (1,) * (value.ndim - 1))
+    return lax.dynamic_update_slice(value, kept, (0,) * value.ndim)
+
+
 def sum_before(layers: Float[Array, "..."], axis: int) -> Float[Array, "..."]:
     """Sum of the layers in front of each along an axis.
 

@@ -40,7 +40,7 @@ def stratum_points(
     word = jax.random.bits(key, (math.prod(shape),), jnp.uint32).reshape(shape)  # more axes compile for a second
     halves = jnp.stack([word >> 16, word & 0xFFFF], axis=-1)
     jitter = (halves.astype(cells.dtype) + 0.5) / 65536
-    return (corner[:, None, None, None] + jitter) / cells
+    return (corner[:, None, None, None] + jitter) / cells[(None,) * 4]
 
 
 def pixel_samples(key: Key[Array, ""], tiles: int, samples: int) -> Float[Array, "stratum 2 tile pixel 2"]:

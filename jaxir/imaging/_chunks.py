@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, enforce, on_host, placed
+from jaxir._math import in_kernels
 from jaxir._programs import program
 from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays
 from jaxir.geometry.search import may_see
@@ -315,10 +316,10 @@ def see(taken: Pass, bundle: Bundle, key: Key[Array, ""]) -> Seen:
     parts = None if taken.components is None else evaluate_components(lit, paths, taken.components)
     without = None if taken.uniform else lit.empty(bundle.rays().direction)
     if parts is not None and not method.samples_particles(lit.scene):  # they add up to the whole
-        return jax.tree.map(lit.nodes.in_band, Seen(parts.sum(axis=1), without, None, parts))
+        return jax.tree.map(lit.nodes.in_band, Seen(in_kernels(parts.sum(axis=1)), without, None, parts))
     found = evaluate_orders(lit, paths)
     orders = jnp.stack([found.last, found.before], axis=1) if method.samples_particles(lit.scene) else None
-    return jax.tree.map(lit.nodes.in_band, Seen(found.radiance, without, orders, parts))
+    return jax.tree.map(lit.nodes.in_band, Seen(in_kernels(found.radiance), without, orders, parts))
 
 
 def reach_to_eye(scene: Scene, camera: Camera) -> Float[Array, ""]:

@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import fingerprint, is_traced
 from jaxir._fields import by_band, over_nodes
-from jaxir._math import dot
+from jaxir._math import dot, in_kernels
 from jaxir._programs import program
 from jaxir.geometry import Rays
 from jaxir.geometry.search import face_normal
@@ -176,7 +176,7 @@ def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment,
             if method.scattering is not None:
                 direct = direct - _expected_at_particles(lit, segment, segment.scattering)
             sums = added(sums, throughput * event * direct, segment, index, 1)
-        return (sums, throughput * _onward(lit, segment, passed, event)), None
+        return (sums, in_kernels(throughput * _onward(lit, segment, passed, event))), None
 
     return lax.scan(step, (sums, one), (paths.segments, jnp.arange(count, dtype=jnp.int32)))[0][0]
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Key
 
-from jaxir._math import dot
+from jaxir._math import dot, in_kernels
 from jaxir.geometry import Bundle, Hit, Rays, no_hit
 from jaxir.geometry.search import any_hit, closest_hit
 from jaxir.scene import Scene
@@ -128,7 +128,7 @@ def _step(scene: Scene, method: Method, state: _State, drawn: _Drawn) -> tuple[_
     begin = state.rays.at(scattering.t) if scattering is not None else jnp.zeros_like(state.rays.origin)
     if state.vertex is not None:
         begin = jnp.where(scattered[:, None], begin, state.vertex.point)
-    rays = Rays(begin, onward.omega)
+    rays = Rays(begin, in_kernels(onward.omega))
     landed = None
     if state.vertex is not None:
         landed = _vertex(scene, method, rays, onward.hit, together=False)
