@@ -103,6 +103,71 @@ def test_agrees_with_forced_collision():
     assert abs(solved - sampled.mean()) < 3 * error + 0.02 * solved
 
 
+def in_the_sun():
+    """A warm jet with a forward lobe in the sun, and parallel rays through it."""
+    scene = jaxir.Scene(None, jet(450.0), jaxir.ParallelSource((0.0, 0.0, -1.0), 30.0))
+    return scene, rays_through(2000, about=(-3.0, 0.0, 0.0), width=4.0)
+
+
+def lattice(orders, along=9, across=5):
+    return Method(scattering=DiscreteOrdinates(along, across, 2, orders=orders))
+
+
+@eqx.filter_jit
+def seen_by(lit, rays, method, key):
+    return jaxir.evaluate(lit, jaxir.trace(lit.scene, rays, method, key))
+
+
+def seen(scene, rays, method, keys):
+    """Radiance by random key [key, ray], of one solution."""
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), method)
+    each = [seen_by(lit, rays, method, key)[:, 0] for key in jax.random.split(jax.random.key(7), keys)]
+    return np.asarray(each, np.float64)
+
+
+def test_what_the_lattice_errs_is_sampled_without_bias_and_with_little_noise():
+    """Against forced collision; on a lattice of few points, whose error shows order by order."""
+    scene, rays = in_the_sun()
+    forced, both = seen(scene, rays, Method(orders=12), 48), seen(scene, rays, lattice(6), 8)
+    means = [(x.mean(), x.mean(axis=1).std(ddof=1) / np.sqrt(len(x))) for x in (forced, both)]
+    apart, error = means[1][0] - means[0][0], np.hypot(means[0][1], means[1][1])
+    assert abs(apart) < 3 * error and error < 0.005 * means[0][0]
+    assert both.var(axis=0, ddof=1).mean() < forced.var(axis=0, ddof=1).mean() / 8
+    coarse = lattice(6, 5, 4)
+    least = seen(scene, rays, dataclasses.replace(coarse, scattering=DiscreteOrdinates(5, 4, 2)), 1).mean()
+    assert abs(least - means[0][0]) > 5 * error  # the lattice alone errs by more than the test allows
+    mended = seen(scene, rays, coarse, 8)
+    error = np.hypot(means[0][1], mended.mean(axis=1).std(ddof=1) / np.sqrt(8))
+    assert abs(mended.mean() - means[0][0]) < 3 * error
+
+
+def test_an_image_tells_what_the_last_order_changed():
+    scene, _ = in_the_sun()
+    camera = jaxir.fitted_camera(90, 0, scene.extent(), (16, 32))
+    image = jaxir.render(scene, camera, [jaxir.MWIR], samples=4, method=lattice(2))
+    assert image.orders is not None and image.unresolved is not None
+    changed = np.abs(image.orders) / float(image.radiant_intensity()[0])
+    assert 0 < float(changed[0, 0]) < float(changed[1, 0]) < 0.1
+    np.testing.assert_allclose(image.truncation, image.unresolved + changed[0], rtol=1e-6)
+
+
+def test_derivatives_of_what_is_sampled_are_those_of_the_expected_value(x64):
+    """By temperature, loading and albedo: those of a finer lattice, within the errors of keys."""
+    rays, at = rays_through(100), jnp.array([600.0, 1.5, 0.8])
+
+    def mean(values, method, key=None):
+        temperature, extinction, albedo = values
+        plume = box(extinction, albedo, jaxir.HenyeyGreenstein(0.5), temperature, absorption=0.2, cells=2)
+        return look(jaxir.Scene(None, plume), rays, method, key).mean()
+
+    fine = np.asarray(jax.grad(mean)(at, lattice(0, 9, 9)) * at)
+    sloped = jax.jit(jax.grad(lambda values, key: mean(values, lattice(3, 4, 4), key)))
+    each = np.asarray([sloped(at, key) * at for key in jax.random.split(jax.random.key(0), 16)])
+    error = each.std(axis=0, ddof=1) / 4
+    assert np.all(error < 0.02 * np.abs(fine))
+    assert np.all(np.abs(each.mean(axis=0) - fine) < 3 * error + 0.01 * np.abs(fine))
+
+
 def test_derivatives_are_those_of_the_solution(x64):
     """By temperature, loading and albedo, in both modes, against central differences."""
     rays = rays_through(40)

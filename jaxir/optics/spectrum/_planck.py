@@ -34,7 +34,8 @@ STEFAN = FIRST_RADIATION / SECOND_RADIATION**4  # K [W m-2 sr-1 K-4]; sigma = pi
 _STRETCH = 6.0
 _POINTS = {4: 10, 8: 40}  # Gauss-Legendre points by dtype size
 _BLOCK = 512  # temperatures
-_WRITTEN_OUT = 10  # points that are terms of one expression, of `_BLOCK` temperatures or more
+_WRITTEN_OUT = 10  # points that are terms of one expression at most
+_FEW_NODES = 8  # of which they are for few temperatures, too
 
 
 def spectral_radiance(
@@ -92,10 +93,9 @@ def _at_once(nodes: Nodes, temperature: Float[Array, " batch"]) -> Float[Array, 
     """`band_radiance` of one axis."""
     width = (nodes.edge[:, 1, 0] - nodes.edge[:, 0, 0]) + (nodes.edge[:, 1, 1] - nodes.edge[:, 0, 1])
 
-    def one(*of_node: Float[Array, ""]) -> Array:
-        return _bin_radiance(temperature, *(jnp.full_like(temperature, value) for value in of_node))
-
-    return jax.vmap(one)(nodes.edge[:, 0, 0], nodes.edge[:, 0, 1], width).T
+    shape = (nodes.count, temperature.shape[0])
+    of_node = (jnp.broadcast_to(x[:, None], shape) for x in (nodes.edge[:, 0, 0], nodes.edge[:, 0, 1], width))
+    return _bin_radiance(jnp.broadcast_to(temperature[None], shape), *of_node).T
 
 
 def _in_blocks(nodes: Nodes, temperature: Float[Array, " batch"]) -> Float[Array, "batch node"]:
@@ -184,9 +184,10 @@ def _with_slope(temperature: Array, lead: Array, rest: Array, width: Array) -> t
         brought = term(*pair)
         return (sums[0] + brought[0], sums[1] + brought[1]), None
 
-    # A few terms, written out, are one loop over a long batch, which a loop over points exceeds by a fifth; of a short
-    # one each may be a program of its own. An axis of points would become short sums, slow ones.
-    if point.size <= _WRITTEN_OUT and temperature.size >= _BLOCK:
+    # A few terms, written out, are one loop over a long batch, which a loop over points exceeds by a fifth; for many
+    # nodes of few temperatures each is compiled by itself. An axis of points would become short sums, slow ones.
+    many = temperature.ndim > 1 and temperature.shape[0] > _FEW_NODES and temperature.shape[1] < _BLOCK
+    if point.size <= _WRITTEN_OUT and not many:
         integral, rising = reduce(lambda sums, pair: added(sums, pair)[0], zip(*pairs, strict=True), dark)
     else:
         integral, rising = lax.scan(added, dark, tuple(as_float(values) for values in pairs))[0]
