@@ -14,12 +14,15 @@ written whole or not at all; when they are more than `LIMIT` bytes together, tho
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib
 import os
 import platform
 import stat
 import sys
+import threading
+from collections.abc import Iterator
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -54,6 +57,19 @@ def keep(key: str, value: bytes) -> None:
         _FOLDERS[0].put(_of_this_code() + key, value)
 
 
+@contextlib.contextmanager
+def compiled_anew() -> Iterator[None]:
+    """Programs compiled inside by this thread are neither taken from the folder nor kept there by JAX.
+
+    An executable that XLA has read cannot be written again: what it wrote would lack its functions.
+    """
+    _SKIPS.on = True
+    try:
+        yield
+    finally:
+        _SKIPS.on = False
+
+
 @cache
 def _of_this_code() -> str:
     """A digest of the package's code and data."""
@@ -68,7 +84,7 @@ def _say(why: str) -> None:
 
 
 class _Folder:
-    """Files of one folder by key, in the manner of JAX's `CacheInterface`; trouble with them is never an error."""
+    """Files of one folder by key; trouble with them is never an error."""
 
     def __init__(self, path: Path):
         self._path = path
@@ -103,6 +119,22 @@ class _Folder:
 
     def _file(self, key: str) -> Path:
         return self._path / f"{hashlib.sha256(key.encode()).hexdigest()[:40]}{_SUFFIX}"
+
+
+class _ForJax:
+    """A folder in the manner of JAX's `CacheInterface`."""
+
+    def __init__(self, folder: _Folder):
+        self._folder = folder
+
+    def get(self, key: str) -> bytes | None:
+        """See `_Folder.get`; nothing inside of `compiled_anew`."""
+        return None if getattr(_SKIPS, "on", False) else self._folder.get(key)
+
+    def put(self, key: str, value: bytes) -> None:
+        """See `_Folder.put`; nothing inside of `compiled_anew`."""
+        if not getattr(_SKIPS, "on", False):
+            self._folder.put(key, value)
 
 
 def _shorten(path: Path) -> None:
@@ -160,12 +192,14 @@ def _decide() -> str:
         jax.config.update("jax_compilation_cache_dir", str(path))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-        inner._cache, inner._cache_initialized = _Folder(path), True
-        _FOLDERS.append(inner._cache)
+        folder = _Folder(path)
+        inner._cache, inner._cache_initialized = _ForJax(folder), True
+        _FOLDERS.append(folder)
     except (ImportError, AttributeError) as error:
         return f"compilation cache: off, because this jax keeps it in another way ({error})"
     return f"compilation cache: {path}, set by jaxir ({VARIABLE}=0 prevents it)"
 
 
+_SKIPS = threading.local()
 _FOLDERS: list[_Folder] = []
 _STATE = [_decide()]

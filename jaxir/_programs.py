@@ -30,7 +30,7 @@ import jax
 import numpy as np
 from jax.experimental import serialize_executable
 
-from jaxir._cache import keep, keeps, kept
+from jaxir._cache import compiled_anew, keep, keeps, kept
 
 F = TypeVar("F", bound=Callable[..., Any])
 _OWN = ("jaxir", "builtins", "equinox")
@@ -53,10 +53,10 @@ class _Place:
 
 
 class _Ready:
-    """An executable of a list of arrays, and what it returns, with places for arrays."""
+    """An executable of a list of arrays, and what it returns, with places for arrays; whether it was kept on disk."""
 
-    def __init__(self, executable: Callable[..., list[Any]], result: Any):
-        self._executable = executable
+    def __init__(self, executable: Callable[..., list[Any]], result: Any, loaded: bool = False):
+        self._executable, self.loaded = executable, loaded
         self._leaves, self._structure = jax.tree.flatten(result)
 
     def __call__(self, arrays: list[Any]) -> Any:
@@ -82,7 +82,13 @@ def program(function: F) -> F:
         if signature not in held:
             held[signature] = _ready(function, structure, leaves, arrays, signature)
         ready = held[signature]
-        return jitted(*args, **kwargs) if ready is None else ready(arrays)
+        try:
+            return jitted(*args, **kwargs) if ready is None else ready(arrays)
+        except jax.errors.JaxRuntimeError:
+            if ready is None or not ready.loaded:
+                raise
+        held[signature] = None  # what was kept lacks something
+        return jitted(*args, **kwargs)
 
     return call  # type: ignore[return-value]
 
@@ -131,7 +137,9 @@ def _compiled(
         return [_bare(leaf) for leaf in every]
 
     flat.__name__ = flat.__qualname__ = function.__name__
-    compiled = jax.jit(flat, keep_unused=True).lower(*arrays).compile()
+    lowered = jax.jit(flat, keep_unused=True).lower(*arrays)
+    with compiled_anew():
+        compiled = lowered.compile()
     return compiled, *returned[0]
 
 
@@ -153,9 +161,8 @@ def _loaded(held: bytes, count: int, device: Any) -> _Ready | None:
             lapack._lapack.initialize()
         taken = jax.tree.structure(((0,) * count, {}))
         given = jax.tree.structure([0] * made)
-        return _Ready(
-            serialize_executable.deserialize_and_load(payload, taken, given, execution_devices=[device]), result
-        )
+        loaded = serialize_executable.deserialize_and_load(payload, taken, given, execution_devices=[device])
+        return _Ready(loaded, result, loaded=True)
     except Exception:  # of another kind than this process expects: it is compiled anew
         return None
 

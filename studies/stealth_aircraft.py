@@ -64,15 +64,18 @@ class Effort:
     bins: tuple[float, int, int]  # width [cm-1], quantiles, quantiles per gas where two overlap
     depth: int  # largest number of reflections; 10 in Table 3
     error: float  # standard error of an intensity at most, as a share of it
+    points: int  # of the lattice of scattered light along the plume
+    orders: int  # of scattering in which what the lattice errs is sampled
 
     @property
     def method(self) -> jaxir.Method:
         """What particles scatter is solved for: however often, and without noise."""
-        return jaxir.Method(bounces=self.depth, scattering=jaxir.DiscreteOrdinates(along=41, across=9))
+        ordinates = jaxir.DiscreteOrdinates(along=self.points, across=9, orders=self.orders)
+        return jaxir.Method(bounces=self.depth, scattering=ordinates)
 
 
-FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10, error=0.02)
-QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6, error=1.0)
+FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10, error=0.02, points=41, orders=0)
+QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6, error=1.0, points=25, orders=0)
 
 
 def exhaust(given: Conditions) -> tuple[jaxir.NarrowBandGas, float]:

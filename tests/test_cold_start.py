@@ -161,6 +161,15 @@ def test_the_user_decides():
     assert run(named, JAXIR_CACHE="") == ["compilation cache: /named, as jax_compilation_cache_dir says"]
 
 
+def test_what_jax_kept_of_other_code_is_not_kept_as_an_executable(tmp_path):
+    """XLA cannot write an executable again that it has read."""
+    folder = str(tmp_path / "p")
+    changed = "import jaxir._cache\njaxir._cache._of_this_code = lambda: 'changed'\n"
+    state, answer = run(ANSWER, JAXIR_CACHE=folder)
+    for _ in range(2):  # the first compiles and keeps, the second loads
+        assert run(changed + ANSWER, JAXIR_CACHE=folder) == [state, answer]
+
+
 TRACED = """
 import jax
 from jax import monitoring

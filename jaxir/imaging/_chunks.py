@@ -39,6 +39,7 @@ TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they
 BLOCKS = 3  # in which the tiles of a chunk are traced at least, so that those that see nothing are left out
 PARTS = 8  # chunks of a small image, for so many devices to share
 QUICK = 2**20  # rays of an image that one program takes whole: a call for each chunk takes 1 ms each
+FEWER = 4  # times fewer tiles at once where paths may be long
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
 STRATA_AT_ONCE = 8  # of a pixel, whose rays are traced side by side: bundles then cover fewer pixels and faces
 
@@ -113,7 +114,8 @@ class Pass(NamedTuple):
 
     @property
     def _at_once(self) -> int:
-        return max(TILES_AT_ONCE // self._each, 1)
+        few = FEWER if self.method.bounces > 1 else 1  # most paths end soon, and all of them in many tiles
+        return max(TILES_AT_ONCE // (few * self._each), 1)
 
     @property
     def _share(self) -> int:

@@ -167,6 +167,10 @@ def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment,
     one = jnp.ones((paths.length.shape[0], lit.nodes.count), paths.length.dtype)
 
     def step(state: tuple[T, Array], own: tuple[Segment, Array]) -> tuple[tuple[T, Array], None]:
+        ended = ~jnp.any(own[0].length > 0)  # which costs nothing where all paths have
+        return lax.cond(ended, lambda state, _: state, follow, state, own), None
+
+    def follow(state: tuple[T, Array], own: tuple[Segment, Array]) -> tuple[T, Array]:
         (sums, throughput), (segment, index) = state, own
         brought = _brings(lit, paths, segment, index == 0, index == count - 1)
         passed, event = _event(lit, segment)
@@ -176,7 +180,7 @@ def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment,
             if method.scattering is not None:
                 direct = direct - _expected_at_particles(lit, segment, segment.scattering)
             sums = added(sums, throughput * event * direct, segment, index, 1)
-        return (sums, in_kernels(throughput * _onward(lit, segment, passed, event))), None
+        return sums, in_kernels(throughput * _onward(lit, segment, passed, event))
 
     return lax.scan(step, (sums, one), (paths.segments, jnp.arange(count, dtype=jnp.int32)))[0][0]
 

@@ -110,7 +110,7 @@ def in_the_sun():
 
 
 def lattice(orders, along=9, across=5):
-    return Method(scattering=DiscreteOrdinates(along, across, 2, orders=orders))
+    return Method(scattering=DiscreteOrdinates(along, across, orders=orders))
 
 
 @eqx.filter_jit
@@ -132,9 +132,9 @@ def test_what_the_lattice_errs_is_sampled_without_bias_and_with_little_noise():
     means = [(x.mean(), x.mean(axis=1).std(ddof=1) / np.sqrt(len(x))) for x in (forced, both)]
     apart, error = means[1][0] - means[0][0], np.hypot(means[0][1], means[1][1])
     assert abs(apart) < 3 * error and error < 0.005 * means[0][0]
-    assert both.var(axis=0, ddof=1).mean() < forced.var(axis=0, ddof=1).mean() / 8
+    assert both.var(axis=0, ddof=1).mean() < forced.var(axis=0, ddof=1).mean() / 6
     coarse = lattice(6, 5, 4)
-    least = seen(scene, rays, dataclasses.replace(coarse, scattering=DiscreteOrdinates(5, 4, 2)), 1).mean()
+    least = seen(scene, rays, dataclasses.replace(coarse, scattering=DiscreteOrdinates(5, 4)), 1).mean()
     assert abs(least - means[0][0]) > 5 * error  # the lattice alone errs by more than the test allows
     mended = seen(scene, rays, coarse, 8)
     error = np.hypot(means[0][1], mended.mean(axis=1).std(ddof=1) / np.sqrt(8))
@@ -147,7 +147,7 @@ def test_an_image_tells_what_the_last_order_changed():
     image = jaxir.render(scene, camera, [jaxir.MWIR], samples=4, method=lattice(2))
     assert image.orders is not None and image.unresolved is not None
     changed = np.abs(image.orders) / float(image.radiant_intensity()[0])
-    assert 0 < float(changed[0, 0]) < float(changed[1, 0]) < 0.1
+    assert 0 < float(changed[0, 0]) < 0.05
     np.testing.assert_allclose(image.truncation, image.unresolved + changed[0], rtol=1e-6)
 
 
@@ -160,8 +160,9 @@ def test_derivatives_of_what_is_sampled_are_those_of_the_expected_value(x64):
         plume = box(extinction, albedo, jaxir.HenyeyGreenstein(0.5), temperature, absorption=0.2, cells=2)
         return look(jaxir.Scene(None, plume), rays, method, key).mean()
 
-    fine = np.asarray(jax.grad(mean)(at, lattice(0, 9, 9)) * at)
-    sloped = jax.jit(jax.grad(lambda values, key: mean(values, lattice(3, 4, 4), key)))
+    fine = np.asarray(jax.grad(mean)(at, Method(scattering=DiscreteOrdinates(7, 7, 2))) * at)
+    coarse = Method(scattering=DiscreteOrdinates(4, 4, 1, orders=2))
+    sloped = jax.jit(jax.grad(lambda values, key: mean(values, coarse, key)))
     each = np.asarray([sloped(at, key) * at for key in jax.random.split(jax.random.key(0), 16)])
     error = each.std(axis=0, ddof=1) / 4
     assert np.all(error < 0.02 * np.abs(fine))
