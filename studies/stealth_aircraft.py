@@ -75,7 +75,7 @@ class Effort:
 
 
 FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10, error=0.02, points=41, orders=0)
-QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6, error=1.0, points=25, orders=0)
+QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6, error=1.0, points=41, orders=0)
 
 
 def exhaust(given: Conditions) -> tuple[jaxir.NarrowBandGas, float]:

@@ -28,7 +28,8 @@ from jaxir.imaging._devices import over_items, shared_by
 from jaxir.imaging._image import Image, Outcome, joined, meets
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._pilot import well_shaped
-from jaxir.imaging._planning import FEW, plan_pass, require_rtol
+from jaxir.imaging._planning import FEW, plan_pass
+from jaxir.imaging._repeated import require_rtol
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
 from jaxir.transport import Method, with_scattered

@@ -17,6 +17,7 @@ from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Camera, Sobol, pixel_strata
 from jaxir.imaging._chunks import Pass, first_pass
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
+from jaxir.imaging._repeated import require_rtol
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene
 from jaxir.transport import (
@@ -32,10 +33,10 @@ from jaxir.transport import (
 FEW = 2  # rays per pixel of the first pilots
 MORE = (12, 128)  # at least and at most, of the second
 LEAST_GROWTH = 0.25  # share of a pilot's time that its rays take at least: clocks are coarse, other work disturbs
-LEAST = 8  # units of the last place: a relative tolerance below is beyond the precision in force
 FEW_ORDERS = 2  # of scattering, tried first
 SOON = 2.0  # seconds of sampling for which no lattice is tried: it takes longer to solve
 LATTICES = (DiscreteOrdinates(), DiscreteOrdinates(41, 9))
+SAMPLED = 4  # orders of scattering in which what a lattice errs is sampled
 MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
 
 
@@ -79,18 +80,6 @@ class Plan(NamedTuple):
     def __str__(self) -> str:
         """One sentence per term."""
         return "\n".join(f"{term.name}: {term.sentence}." for term in self.terms)
-
-
-def require_rtol(rtol: float, name: str = "rtol") -> None:
-    """Raise `ValueError` unless the tolerance is positive and the precision in force can hold it."""
-    if not rtol > 0:
-        raise ValueError(f"{name}: got {rtol}, expected > 0")
-    dtype = float_dtype()
-    least = LEAST * float(jnp.finfo(dtype).eps)
-    if rtol < least:
-        double = LEAST * float(np.finfo(np.float64).eps)
-        need = "float64: jax.config.update('jax_enable_x64', True)" if rtol >= double else "more than float64"
-        raise ValueError(f"{name}: got {rtol}, expected at least {least:.2g} in {dtype}; {rtol} needs {need}")
 
 
 def plan(
@@ -190,7 +179,10 @@ _lattice_error = program(lattice_error)
 
 
 def _ways_to_scatter(first: Pass, rtol: float, most: int) -> list[_Trial]:
-    """By rising orders, and if that is not soon done by finer lattices, until one leaves out no more than is asked."""
+    """By rising orders, and if that is not soon done by finer lattices, until one leaves out no more than is asked.
+
+    Where none does, what the finest errs is sampled.
+    """
     trials = []
     for orders in sorted({min(FEW_ORDERS, first.method.orders), first.method.orders}):
         trials.append(_trial(first._replace(method=dataclasses.replace(first.method, orders=orders))))
@@ -199,17 +191,29 @@ def _ways_to_scatter(first: Pass, rtol: float, most: int) -> list[_Trial]:
             if choice.expected <= rtol and choice.seconds < SOON:
                 return trials
             break
+    held = None
     for ordinates in LATTICES:
-        method, began = dataclasses.replace(first.method, orders=0, scattering=ordinates), time.perf_counter()
-        try:
-            lit = with_scattered(first.lit, method)
-            lit = jax.block_until_ready(enforce(lit, solution_checks(lit)))
-        except ValueError:  # this lattice cannot hold the light, a finer one may
+        solved = _on_lattice(first, ordinates)
+        if solved is None:  # this lattice cannot hold the light, a finer one may
             continue
-        trials.append(_trial(first._replace(method=method, lit=lit), time.perf_counter() - began))
-        if trials[-1].truncation <= rtol:
-            break
-    return trials
+        held = ordinates
+        trials.append(solved)
+        if solved.truncation <= rtol:
+            return trials
+    mended = None if held is None else _on_lattice(first, dataclasses.replace(held, orders=SAMPLED))
+    return trials if mended is None else [*trials, mended]
+
+
+def _on_lattice(first: Pass, ordinates: DiscreteOrdinates) -> _Trial | None:
+    """What a lattice comes to; None where it cannot hold the light."""
+    method, began = dataclasses.replace(first.method, orders=0, scattering=ordinates), time.perf_counter()
+    try:
+        lit = with_scattered(first.lit, method)
+        lit = jax.block_until_ready(enforce(lit, solution_checks(lit)))
+    except ValueError:
+        return None
+    spent = time.perf_counter() - began
+    return _trial(first._replace(method=method.resolved(lit.scene), lit=lit), spent)
 
 
 class _Choice(NamedTuple):
@@ -302,7 +306,8 @@ def _by_particles(scene: Scene, trials: list[_Trial], chosen: _Choice) -> list[T
     others = "; ".join(f"{_way(t.method)} would leave out {t.truncation:.2g}" for t in trials if t is not chosen.trial)
     others = others and f" ({others})"
     if method.scattering is not None:
-        return [Term("Particles", True, f"light scattered however often, by {_way(method)}, which {left}{others}")]
+        exact = method.scattering.orders == 0
+        return [Term("Particles", exact, f"light scattered however often, by {_way(method)}, which {left}{others}")]
     if method.orders == 0:
         return [Term("Particles", True, f"{once}light scattered more often is left out, as asked")]
     return [Term("Particles", False, f"{once}the rest by {_way(method)}, which {left}{others}")]
@@ -312,7 +317,8 @@ def _way(method: Method) -> str:
     """How what particles scatter is found."""
     if method.scattering is None:
         return f"forced collision up to {method.orders} times"
-    return f"a lattice of {method.scattering.along} x {method.scattering.across} points, without samples"
+    lattice, orders = f"a lattice of {method.scattering.along} x {method.scattering.across} points", method.orders
+    return f"{lattice}, what it errs sampled up to {orders} times" if orders else f"{lattice}, without samples"
 
 
 def _depth(lit: Lit, camera: Camera) -> Array:

@@ -22,12 +22,13 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int
 
+from jaxir._arrays import float_dtype
 from jaxir.imaging._devices import item_by_item
-from jaxir.imaging._planning import require_rtol
 
 MARGIN = 0.9  # of the error asked for that is aimed at: what the first look tells is itself uncertain
 ROUNDS = 3  # at most, after the first look; each decides for the next
 ERRORS = (1, 4)  # places of standard errors in what a look finds
+LEAST = 8  # units of the last place: a relative tolerance below is beyond the precision in force
 FIRST = 1 / 3  # of the error asked for, at which the first look is the answer: few rays tell their own error poorly
 
 
@@ -51,6 +52,18 @@ class Tolerance(NamedTuple):
         asked = np.maximum(self.rtol * np.abs(intensity), self.atol)
         beyond = np.where(error > 0, np.inf, 0.0)
         return np.asarray(np.divide(error, asked, out=beyond, where=asked > 0).max(axis=-1))
+
+
+def require_rtol(rtol: float, name: str = "rtol") -> None:
+    """Raise `ValueError` unless the tolerance is positive and the precision in force can hold it."""
+    if not rtol > 0:
+        raise ValueError(f"{name}: got {rtol}, expected > 0")
+    dtype = float_dtype()
+    least = LEAST * float(np.finfo(dtype).eps)
+    if rtol < least:
+        double = LEAST * float(np.finfo(np.float64).eps)
+        need = "float64: jax.config.update('jax_enable_x64', True)" if rtol >= double else "more than float64"
+        raise ValueError(f"{name}: got {rtol}, expected at least {least:.2g} in {dtype}; {rtol} needs {need}")
 
 
 def require_tolerance(

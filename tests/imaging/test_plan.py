@@ -132,6 +132,7 @@ def cloud(extinction):
 def test_particles_get_orders_where_those_leave_out_little_and_else_a_lattice(monkeypatch):
     """The image tells what the plan told."""
     monkeypatch.setattr(_planning, "LATTICES", (jaxir.DiscreteOrdinates(7, 7, 1),))
+    monkeypatch.setattr(_planning, "SAMPLED", 2)
     monkeypatch.setattr(_planning, "FEW_ORDERS", 10)  # fewer are one program more
     camera = jaxir.orthographic_camera(30.0, 20.0, 0.06, (16, 16))
     thin = jaxir.plan(cloud(0.02), camera, jaxir.MWIR, 0.05)
@@ -142,6 +143,10 @@ def test_particles_get_orders_where_those_leave_out_little_and_else_a_lattice(mo
     again = jaxir.plan(cloud(6.0), camera, jaxir.MWIR, 0.05)
     assert again.method == thick
     np.testing.assert_allclose(image.truncation[0], again.truncation, rtol=1e-4)
+    strict = jaxir.plan(cloud(6.0), camera, jaxir.MWIR, 0.002)  # less than this lattice errs
+    assert strict.method.scattering == jaxir.DiscreteOrdinates(7, 7, 1, 2) and not strict.terms[1].exact
+    assert strict.truncation < again.truncation
+    assert "what it errs sampled up to 2 times" in strict.terms[1].sentence
     told = str(again).splitlines()[1]
     assert told.startswith("Particles: light scattered however often, by a lattice of 7 x 7 points")
     assert "forced collision up to 10 times would leave out" in told

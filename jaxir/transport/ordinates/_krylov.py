@@ -19,7 +19,7 @@ KEPT = 6
 
 
 def solved(
-    applied: Callable[[Array], Array], begin: Float[Array, "*part node"], close: float, most: int
+    applied: Callable[[Array], Array], begin: Float[Array, "*part node"], close: Float[Array, ""] | float, most: int
 ) -> tuple[Float[Array, "*part node"], Float[Array, ""]]:
     """The solution of x = begin + K x, with what it lacks.
 

@@ -52,6 +52,7 @@ MOST = 2**30  # numbers that transport may keep
 CLOSE = {"float32": 2e-6, "float64": 1e-8}
 MOST_STEPS = 200
 FEWER = 2  # degrees of the solution that shows what harmonics do
+CLOSE_OF_FEWER = 1e-4  # residual at which that ends
 
 
 def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays], Array]) -> Scattered:
@@ -126,12 +127,14 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     scale = jnp.max(jnp.abs(begin), axis=(0, 1))
     scale = lax.stop_gradient(jnp.where(scale > 0, scale, 1))[None, None]
 
-    def found(kept: Array) -> tuple[Array, Array]:
-        return solved(lambda table: transported(table, kept), begin / scale, CLOSE[str(begin.dtype)], MOST_STEPS)
+    def found(asked: tuple[Array, Array]) -> tuple[Array, Array]:
+        kept, close = asked
+        return solved(lambda table: transported(table, kept), begin / scale, close, MOST_STEPS)
 
     degree = degrees(order)
     fewer = degree <= max(order - FEWER, 0)
-    solutions, rests = lax.map(found, as_float(np.stack([degree >= 0, fewer])))
+    close = as_float(np.array([CLOSE[str(begin.dtype)], CLOSE_OF_FEWER]))
+    solutions, rests = lax.map(found, (as_float(np.stack([degree >= 0, fewer])), close))
     each, rough = (split(x * scale - straight) for x in solutions)  # beams are scattered with the whole lobe
     errs = ordinates.orders > 0  # and that is sampled, in the medium as it is
     held = tuple(
