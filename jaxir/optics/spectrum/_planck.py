@@ -35,7 +35,6 @@ _STRETCH = 6.0
 _POINTS = {4: 10, 8: 40}  # Gauss-Legendre points by dtype size
 _BLOCK = 512  # temperatures
 _WRITTEN_OUT = 10  # points that are terms of one expression at most
-_FEW_NODES = 8  # of which they are for few temperatures, too
 
 
 def spectral_radiance(
@@ -166,9 +165,10 @@ def _with_slope(temperature: Array, lead: Array, rest: Array, width: Array) -> t
     first = lead / temperature
     error = (lax.stop_gradient(_remainder(lead, temperature)) + rest) / temperature
     reach = -jnp.expm1(-width / (temperature * _STRETCH))
-    passed, stopped = jnp.exp(-first), -jnp.expm1(-first)  # e^{-x1}, 1 - e^{-x1}
+    held = reach, first, jnp.exp(-first), -jnp.expm1(-first)  # the last are e^{-x1}, 1 - e^{-x1}
 
-    def term(point: Any, weight: Any) -> tuple[Array, Array]:
+    def term(point: Any, weight: Any, held: tuple[Array, ...] = held) -> tuple[Array, Array]:
+        reach, first, passed, stopped = held
         inside = reach * point
         v = 1 - inside
         x = first - _STRETCH * jnp.log1p(-inside)
@@ -184,10 +184,13 @@ def _with_slope(temperature: Array, lead: Array, rest: Array, width: Array) -> t
         brought = term(*pair)
         return (sums[0] + brought[0], sums[1] + brought[1]), None
 
-    # A few terms, written out, are one loop over a long batch, which a loop over points exceeds by a fifth; for many
-    # nodes of few temperatures each is compiled by itself. An axis of points would become short sums, slow ones.
-    many = temperature.ndim > 1 and temperature.shape[0] > _FEW_NODES and temperature.shape[1] < _BLOCK
-    if point.size <= _WRITTEN_OUT and not many:
+    # In a long batch an axis of points would become short sums, slow ones, and a loop over points takes a fifth longer
+    # than terms that are written out. In a short one each such term may be compiled by itself.
+    if temperature.ndim == 0 or temperature.shape[-1] < _BLOCK:
+        axis = (-1,) + (1,) * temperature.ndim
+        each = term(*(as_float(values).reshape(axis) for values in pairs), tuple(x[None] for x in held))
+        integral, rising = (x.sum(axis=0) for x in each)
+    elif point.size <= _WRITTEN_OUT:
         integral, rising = reduce(lambda sums, pair: added(sums, pair)[0], zip(*pairs, strict=True), dark)
     else:
         integral, rising = lax.scan(added, dark, tuple(as_float(values) for values in pairs))[0]
