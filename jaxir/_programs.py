@@ -7,7 +7,7 @@ kept under a key of what decides the trace: the function, the structure, types a
 in them, JAX's settings, the versions of what traces and the package's own code.
 
 What such a key cannot name is left to `equinox.filter_jit`: inputs with parts of kinds that others define, whose code
-may be another tomorrow, functions inside of functions, arrays on several devices, and programs that call back.
+may be another tomorrow, functions inside of functions, and arrays on several devices.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from jax.experimental import serialize_executable
 from jaxir._cache import compiled_anew, keep, keeps, kept
 
 F = TypeVar("F", bound=Callable[..., Any])
-_OWN = ("jaxir", "builtins", "equinox")
+_VERSIONED = ("jax", "jaxlib", "equinox", "numpy", "lineax", "optimistix")  # what traces, beside the package's own code
+_NAMED = ("jaxir", "builtins", *_VERSIONED)
 _PLAINLY = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit", "jax_check_tracer_leaks", "jax_default_device")
 
 
@@ -109,13 +110,11 @@ def _ready(
     if found is not None:
         return found
     compiled, result, count = _compiled(function, structure, leaves, arrays)
-    payload = _payload(compiled)
-    if payload is None:
-        return None
     try:
+        payload = serialize_executable.serialize(compiled)[0]
         keep(key, zlib.compress(pickle.dumps((payload, result, count)), 1))
-    except Exception:  # what cannot be pickled is not kept
-        return None
+    except Exception:  # it calls back, or holds what cannot be written: it serves this process alone
+        pass
     return _Ready(compiled, result)
 
 
@@ -143,14 +142,6 @@ def _compiled(
     return compiled, *returned[0]
 
 
-def _payload(compiled: jax.stages.Compiled) -> bytes | None:
-    """An executable as bytes; None where it calls back, or XLA cannot write it."""
-    try:
-        return serialize_executable.serialize(compiled)[0]
-    except Exception:
-        return None
-
-
 def _loaded(held: bytes, count: int, device: Any) -> _Ready | None:
     """What was kept as an executable; None where it does not load."""
     try:
@@ -173,7 +164,7 @@ def _loaded(held: bytes, count: int, device: Any) -> _Ready | None:
 def _key(function: Callable[..., Any], structure: jax.tree_util.PyTreeDef, signature: tuple) -> str:
     """The name under which an executable is kept."""
     _, kinds, settings = signature
-    versions = [f"{name} {version(name)}" for name in ("jax", "jaxlib", "equinox", "numpy", "lineax", "optimistix")]
+    versions = [f"{name} {version(name)}" for name in _VERSIONED]
     state = re.sub(r" at 0x[0-9a-f]+", "", repr(settings))
     flags = os.environ.get("XLA_FLAGS", ""), jax.default_backend(), jax.devices()[0].device_kind
     leaves = [_static(kind if len(kind) > 2 else kind[1]) for kind in kinds]
@@ -217,11 +208,14 @@ def _static(value: Any) -> str:
         return f"{_static(type(value))}.{value.name}"
     if isinstance(value, tuple | list):
         return f"{_static(type(value))}({','.join(map(_static, value))})"
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        held = (getattr(value, field.name) for field in dataclasses.fields(value))
+        return f"{_static(type(value))}({','.join(map(_static, held))})"
     if isinstance(value, dict):
         return f"dict({','.join(f'{_static(k)}:{_static(v)}' for k, v in value.items())})"
     if callable(value) and hasattr(value, "__qualname__"):  # a class, or a function of a module
         name = f"{value.__module__}.{value.__qualname__}"
-        if name.split(".")[0] in _OWN and _is_found(value):
+        if name.split(".")[0] in _NAMED and _is_found(value):
             return name
     elif type(value).__module__.startswith("equinox.") and repr(value) == "Missing":
         return "missing"

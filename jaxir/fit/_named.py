@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 from jaxir.fit._parameter import Bounds, Factor, Leaf, PartValue
@@ -42,49 +43,55 @@ def jet_parameter(field: str, plume: int = 0) -> Leaf:
     if field != "nozzle" and field not in JET_UNITS:
         raise ValueError(f"jet_parameter: got {field!r}, expected one of {('nozzle', *JET_UNITS)}")
 
-    def of(scene: Any) -> Any:
-        return _field(scene, plume, field, "jet_parameter", "a JetPlume")
-
+    of = _Read(_field, (plume, field, "jet_parameter", "a JetPlume"))
     return Leaf(named, of, unit="m") if field == "nozzle" else Leaf(named, of, POSITIVE, JET_UNITS[field])
 
 
 def temperature_scale(plume: int = 0) -> Factor:
     """Factor on the temperatures of a `GridPlume`, all cells alike. ValueError for a scene without one."""
-
-    def of(scene: Any) -> Any:
-        return _field(scene, plume, "temperature", "temperature_scale", "a GridPlume")
-
+    of = _Read(_field, (plume, "temperature", "temperature_scale", "a GridPlume"))
     return Factor(_named("temperature scale", plume), of)
 
 
 def mole_fraction_scale(plume: int = 0) -> Factor:
     """Factor on the mole fractions of all that absorbs in a plume. ValueError for a gas that has none."""
-
-    def of(scene: Any) -> Any:
-        gas = _field(scene, plume, "gas", "mole_fraction_scale", "a plume with a gas")
-        if not gas.amounts():
-            raise ValueError(
-                f"mole_fraction_scale: got {type(gas).__name__} in the plume, expected a gas with mole fractions"
-            )
-        return gas.amounts()
-
-    return Factor(_named("mole fraction scale", plume), of)
+    return Factor(_named("mole fraction scale", plume), _Read(_mole_fractions, (plume,)))
 
 
 def particle_loading(plume: int = 0) -> Factor:
     """Factor on the number of particles in a plume. ValueError for a plume without."""
-
-    def of(scene: Any) -> Any:
-        particles = _field(scene, plume, "particles", "particle_loading", "a plume with particles")
-        if particles is None:
-            raise ValueError("particle_loading: got nothing in the plume, expected particles")
-        return particles.amount
-
-    return Factor(_named("particle loading", plume), of)
+    return Factor(_named("particle loading", plume), _Read(_loading, (plume,)))
 
 
 def _named(name: str, plume: int) -> str:
     return f"{name} of plume {plume}" if plume else name
+
+
+@dataclasses.dataclass(frozen=True)
+class _Read:
+    """A function of a scene: equal to another of the same words, so that one program serves every fit that asks so."""
+
+    function: Callable[..., Any]
+    words: tuple[int | str, ...]
+
+    def __call__(self, scene: Any) -> Any:
+        return self.function(scene, *self.words)
+
+
+def _mole_fractions(scene: Any, plume: int) -> Any:
+    gas = _field(scene, plume, "gas", "mole_fraction_scale", "a plume with a gas")
+    if not gas.amounts():
+        raise ValueError(
+            f"mole_fraction_scale: got {type(gas).__name__} in the plume, expected a gas with mole fractions"
+        )
+    return gas.amounts()
+
+
+def _loading(scene: Any, plume: int) -> Any:
+    particles = _field(scene, plume, "particles", "particle_loading", "a plume with particles")
+    if particles is None:
+        raise ValueError("particle_loading: got nothing in the plume, expected particles")
+    return particles.amount
 
 
 def _emissivity(scene: Any) -> Any:  # these are also called on scenes whose leaves stand for themselves

@@ -121,7 +121,7 @@ class Image(eqx.Module):
         Of orders of scattering beyond the last, see `truncated_share`, or `unresolved`, with what the last order
         changed where what a lattice errs is sampled; 0 without particles.
         """
-        return left_out(self.orders, self.unresolved, self.radiant_intensity())
+        return share_left_out(self.orders, self.unresolved, self.radiant_intensity())
 
 
 @program
@@ -146,7 +146,7 @@ def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, "*co
 
 
 @program
-def left_out(orders: Array | None, unresolved: Array | None, intensity: Array) -> Array:
+def share_left_out(orders: Array | None, unresolved: Array | None, intensity: Array) -> Array:
     """See `Image.truncation`; of the last two orders of scattering, `unresolved` and the intensity."""
     if orders is None:
         return jnp.zeros_like(intensity) if unresolved is None else unresolved

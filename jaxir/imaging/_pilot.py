@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from jaxir._arrays import as_float, placed
 from jaxir.imaging._chunks import Estimate, Pass, as_number, estimate_chunk
-from jaxir.imaging._image import left_out
+from jaxir.imaging._image import share_left_out
 
 CHUNKS = 8  # of a pilot; all of a small image
 SECONDS = 2.0  # after which a pilot takes no more chunks
@@ -56,7 +56,7 @@ def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
             break
     intensity, variance, orders = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
     sampled = taken.method.samples_particles(taken.lit.scene)
-    left = np.asarray(left_out(as_float(orders) if sampled else None, unresolved, as_float(intensity)))
+    left = np.asarray(share_left_out(as_float(orders) if sampled else None, unresolved, as_float(intensity)))
     return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled, left)
 
 

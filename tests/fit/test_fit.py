@@ -215,3 +215,12 @@ def test_a_parameter_that_touches_nothing_in_view_is_named():
     measured = measured_intensity(truth, [(0, 0)], BANDS, [[1.0, 1.0]], 0.1, shape=(32, 32))
     with pytest.raises(ValueError, match="emissivity of top changes nothing in the measured views"):
         fit(truth, [part_emissivity("front"), part_emissivity("top")], [measured])
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: jet_parameter("diameter", 1), temperature_scale, mole_fraction_scale, particle_loading]
+)
+def test_parameters_made_anew_are_the_same_to_a_compiler(make):
+    one, other = (jax.tree.structure(make()) for _ in range(2))
+    assert one == other and hash(one) == hash(other)
+    assert jax.tree.structure(jet_parameter("diameter")) != jax.tree.structure(jet_parameter("diameter", 1))
