@@ -21,7 +21,7 @@ import tests.checked  # noqa: F401, the hook looks it up by name
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-MOST_MEMORY = 8e9  # bytes
+MOST_MEMORY = 4e9  # bytes
 
 gc.set_threshold(100_000, 50, 100)  # tracing makes many objects that live: looking through them takes a tenth of a test
 

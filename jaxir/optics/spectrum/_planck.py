@@ -188,8 +188,8 @@ def _with_slope(temperature: Array, lead: Array, rest: Array, width: Array) -> t
     # than terms that are written out. In a short one each such term may be compiled by itself.
     if temperature.ndim == 0 or temperature.shape[-1] < _BLOCK:
         axis = (-1,) + (1,) * temperature.ndim
-        each = term(*(as_float(values).reshape(axis) for values in pairs), tuple(x[None] for x in held))
-        integral, rising = (x.sum(axis=0) for x in each)
+        points, weights = (as_float(values).reshape(axis) for values in pairs)
+        integral, rising = (x.sum(axis=0) for x in term(points, weights, tuple(x[None] for x in held)))
     elif point.size <= _WRITTEN_OUT:
         integral, rising = reduce(lambda sums, pair: added(sums, pair)[0], zip(*pairs, strict=True), dark)
     else:
