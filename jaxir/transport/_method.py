@@ -94,8 +94,9 @@ class DiscreteOrdinates(Physical):
 
     With `orders` what the lattice errs is sampled instead of told: paths are scattered so often at most, and where a
     path is scattered the light that it finds stands in the place of what the lattice says of the same place and
-    direction. That has no bias however coarse the lattice, and the little noise of a difference; the light that is
-    scattered more often is the lattice's, which `Image.truncation` judges by what the last order changed.
+    direction. That has no bias however coarse the lattice, and the little noise of a difference. Left are the light
+    that is scattered more often, which is the lattice's, and the pieces by which its light is summed along a ray:
+    `Image.truncation` tells both, the first by what the last order changed.
 
     Sources with an extent at a finite distance are not for it: sample (`Method.orders`).
 
