@@ -12,17 +12,20 @@ from jaxir.transport.ordinates._lattice import _cubic
 
 
 def _reading(seed=0):
-    """Four rays of three steps that read two corners each of a table of five rows; one step has no shares."""
+    """Four rays of three steps that read two pairs each of a table of five rows; one step has no shares."""
     random = np.random.default_rng(seed)
-    place = jnp.asarray(random.integers(0, 5, (4, 3, 2)), jnp.int32)
-    share, passed, lobe, table = (random.uniform(0.1, 1, shape) for shape in ((4, 3, 2), (4, 3, 6), (4, 3), (5, 3, 6)))
+    place = jnp.asarray(random.integers(0, 4, (4, 3, 2)), jnp.int32)
+    share, passed, lobe, table = (
+        random.uniform(0.1, 1, shape) for shape in ((4, 3, 2, 2), (4, 3, 6), (4, 3), (5, 3, 6))
+    )
     share[2, 1] = 0
     return place, *(jnp.asarray(x) for x in (share, passed, lobe, table))
 
 
 def test_what_rays_read_is_the_sum_it_says(x64):
     place, share, passed, lobe, table = _reading()
-    expected = np.einsum("rsn,rh,rsk,rskhn->rn", passed, lobe, share, np.asarray(table)[np.asarray(place)])
+    read = np.asarray(table)[np.asarray(place)[..., None] + np.arange(2)]
+    expected = np.einsum("rsn,rh,rskj,rskjhn->rn", passed, lobe, share, read)
     np.testing.assert_allclose(collected(place, share, passed, lobe, table), expected, rtol=1e-13)
     both = jax.vmap(collected, (None, None, None, None, 0))(place, share, passed, lobe, jnp.stack([table, 2 * table]))
     np.testing.assert_allclose(both, np.stack([expected, 2 * expected]), rtol=1e-13)

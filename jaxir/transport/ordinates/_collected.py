@@ -1,10 +1,10 @@
 """What is read of a table on the way of rays, summed: a loop over rays, with derivatives in both modes.
 
-    out[ray] = sum_s passed[ray, s] sum_h lobe[ray, h] sum_k share[ray, s, k] table[place[ray, s, k], h]
+    out[ray] = sum_s passed[ray, s] sum_h lobe[ray, h] sum_kj share[ray, s, k, j] table[place[ray, s, k] + j, h]
 
-As operations of arrays each of its numbers is fetched by an index of its own; row by row they are read as they lie,
-several times faster, and steps without shares cost nothing. Linear in the table; along the other factors the same sum
-in ordinary operations is differentiated.
+with j of 0 and 1: rows are read in pairs that follow one another. As operations of arrays each of its numbers is
+fetched by an index of its own; row by row they are read as they lie, several times faster, and steps without shares
+cost nothing. Linear in the table; along the other factors the same sum in ordinary operations is differentiated.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from jaxir.medium import register_linear, streaming_primitive
 
 
 def collected(
-    place: Int[Array, "ray step corner"],
-    share: Float[Array, "ray step corner"],
+    place: Int[Array, "ray step pair"],
+    share: Float[Array, "ray step pair 2"],
     passed: Float[Array, "ray step node"],
     lobe: Float[Array, "ray harmonic"],
     table: Float[Array, "read harmonic node"],
@@ -44,8 +44,9 @@ def _sum(place: Array, share: Array, passed: Array, lobe: Array, table: Array, *
     flat = table.reshape(rows, -1)
 
     def add(i: Array, s: Array, total: Array) -> Array:
-        near = [share[i, s, k] * flat[place[i, s, k]] for k in range(share.shape[2])]
-        row = lax.optimization_barrier(sum(near[1:], near[0]))  # else all corners are read anew for every harmonic
+        pairs = [(share[i, s, k], lax.dynamic_slice_in_dim(flat, place[i, s, k], 2)) for k in range(share.shape[2])]
+        near = [both[0] * rows[0] + both[1] * rows[1] for both, rows in pairs]
+        row = lax.optimization_barrier(sum(near[1:], near[0]))  # else all pairs are read anew for every harmonic
         each = [lobe[i, h] * row[h * nodes : (h + 1) * nodes] for h in range(harmonics)]
         return total + sum(each[1:], each[0]) * passed[i, s]
 
@@ -62,8 +63,8 @@ def _spread(place: Array, share: Array, passed: Array, lobe: Array, out: Array, 
         given = lax.optimization_barrier((lobe[i][:, None] * (out[i] * passed[i, s])[None]).reshape(-1))
         for k in range(share.shape[2]):
             at = place[i, s, k]
-            held = lax.dynamic_index_in_dim(table, at, keepdims=False)
-            table = lax.dynamic_update_index_in_dim(table, held + share[i, s, k] * given, at, 0)
+            held = lax.dynamic_slice_in_dim(table, at, 2) + share[i, s, k][:, None] * given[None]
+            table = lax.dynamic_update_slice_in_dim(table, held, at, 0)
         return table
 
     none = jnp.zeros((rows, lobe.shape[1] * out.shape[1]), out.dtype)
@@ -72,13 +73,19 @@ def _spread(place: Array, share: Array, passed: Array, lobe: Array, out: Array, 
 
 
 def _plain(place: Array, share: Array, passed: Array, lobe: Array, table: Array, *, rows: int) -> list:
-    seen = jnp.einsum("rskhn,rh->rskn", table[place], lobe)
-    return [jnp.sum(jnp.sum(share[..., None] * seen, axis=2) * passed, axis=1)]
+    seen = jnp.einsum("rskjhn,rh->rskjn", table[_rows(place)], lobe)
+    return [jnp.sum(jnp.sum(share[..., None] * seen, axis=(2, 3)) * passed, axis=1)]
 
 
 def _plainly_spread(place: Array, share: Array, passed: Array, lobe: Array, out: Array, *, rows: int) -> list:
-    given = (out[:, None] * passed)[:, :, None, None] * lobe[:, None, None, :, None] * share[..., None, None]
-    return [jnp.zeros((rows, lobe.shape[1], out.shape[1]), out.dtype).at[place].add(given)]
+    given = (out[:, None] * passed)[:, :, None, None, None] * lobe[:, None, None, None, :, None]
+    none = jnp.zeros((rows, lobe.shape[1], out.shape[1]), out.dtype)
+    return [none.at[_rows(place)].add(given * share[..., None, None])]
+
+
+def _rows(place: Array) -> Array:
+    """Both rows of each pair [ray, step, pair, 2]."""
+    return jnp.stack([place, place + 1], axis=-1)
 
 
 def _like_rays(place: Any, share: Any, passed: Any, lobe: Any, table: Any, *, rows: int) -> list:

@@ -13,13 +13,18 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Shaped
 
-KEPT = 6
+KEPT = 3  # more take as many steps: K is nearly its own transpose
+PATIENCE = 16  # steps after which the residual has to be smaller, in one node at least
 
 
 def solved(
-    applied: Callable[[Array], Array], begin: Float[Array, "*part node"], close: Float[Array, ""] | float, most: int
+    applied: Callable[[Array], Array],
+    begin: Float[Array, "*part node"],
+    close: Float[Array, ""] | float,
+    most: int,
+    near: Float[Array, "*part node"] | None = None,
 ) -> tuple[Float[Array, "*part node"], Float[Array, ""]]:
     """The solution of x = begin + K x, with what it lacks.
 
@@ -27,11 +32,13 @@ def solved(
         applied: K, a linear operator of tables that acts on each node by itself.
         begin: b.
         close: residual at which to end, as a share of b: root mean square, in the worst node.
-        most: applications of K at most.
+        most: applications of K at most. It ends before where `PATIENCE` more lowered the residual no further.
+        near: a table that the solution may be near to, which is the first direction; zeros where there is none.
 
     Returns:
         x, and its residual in those terms. Differentiable in b and in what `applied` holds, in both modes.
     """
+    guess = None if near is None else lax.stop_gradient(near)
 
     def lacking(table: Array) -> Array:
         return table - applied(table)
@@ -40,14 +47,19 @@ def solved(
         size = _dot(b, b)
         size = jnp.where(size > 0, size, 1)
         none = jnp.zeros((KEPT, *b.shape), b.dtype)
-        state = jnp.int32(0), jnp.zeros_like(b), b, none, none, jnp.ones((KEPT, size.shape[0]), b.dtype)
+        state = jnp.int32(0), jnp.zeros_like(b), b, none, none, jnp.ones((KEPT, size.shape[0]), b.dtype), 4 * size
 
         def going_on(state: tuple) -> Array:
-            return (state[0] < most) & jnp.any(_dot(state[2], state[2]) > close**2 * size)
+            count, left, before = state[0], _dot(state[2], state[2]), state[-1]
+            falls = (count % PATIENCE != 0) | (left < before / 2)
+            return (count < most) & jnp.any((left > close**2 * size) & falls)
 
         def step(state: tuple) -> tuple:
-            count, x, residual, ways, images, sizes = state
+            count, x, residual, ways, images, sizes, before = state
+            left = _dot(residual, residual)
             way = residual
+            if guess is not None:
+                way = jnp.where(_shaped((count == 0) & (_dot(guess, guess) > 0), guess), guess, residual)
             image = operator(way)
             for k in range(KEPT):
                 share = _dot(image, images[k]) / sizes[k]
@@ -63,6 +75,7 @@ def solved(
                 lax.dynamic_update_index_in_dim(ways, way, place, 0),
                 lax.dynamic_update_index_in_dim(images, image, place, 0),
                 lax.dynamic_update_index_in_dim(sizes, long, place, 0),
+                jnp.where(count % PATIENCE == 0, left, before),
             )
 
         _, x, residual, *_ = lax.while_loop(going_on, step, state)
@@ -76,4 +89,8 @@ def _dot(a: Float[Array, "*part node"], b: Float[Array, "*part node"]) -> Float[
 
 
 def _along(share: Float[Array, " node"], table: Float[Array, "*part node"]) -> Array:
-    return share.reshape((1,) * (table.ndim - 1) + (-1,)) * table
+    return _shaped(share, table) * table
+
+
+def _shaped(share: Shaped[Array, " node"], table: Float[Array, "*part node"]) -> Array:
+    return share.reshape((1,) * (table.ndim - 1) + (-1,))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import as_float
 from jaxir.medium import AbstractScatterer
@@ -66,17 +66,21 @@ def refined(lattice: Lattice, table: Float[Array, "point *more"]) -> Float[Array
 
 
 class Between(NamedTuple):
-    """The eight points of a lattice about a place, and their shares [ray, 8]."""
+    """The eight points of a lattice about a place: four pairs that follow one another, and the shares of both.
 
-    point: Array
-    share: Array
+    Attributes:
+        point: the first of each pair.
+        share: of both.
+    """
+
+    point: Int[Array, "ray 4"]
+    share: Float[Array, "ray 4 2"]
 
     def read(self, table: Float[Array, "read *more"]) -> Float[Array, "ray *more"]:
         """A table there."""
         shares = self.share.reshape(self.share.shape + (1,) * (table.ndim - 1))
-        return sum(
-            (shares[:, k] * table[self.point[:, k]] for k in range(1, 8)), shares[:, 0] * table[self.point[:, 0]]
-        )
+        each = [shares[:, k, side] * table[self.point[:, k] + side] for k, side in np.ndindex(4, 2)]
+        return sum(each[1:], each[0])
 
 
 def about(counts: tuple[int, ...], place: Float[Array, "ray 3"]) -> Between:
@@ -85,11 +89,12 @@ def about(counts: tuple[int, ...], place: Float[Array, "ray 3"]) -> Between:
     low = jnp.clip(inner.astype(jnp.int32), 0, jnp.asarray(last - 1, jnp.int32)[None])
     high = inner - low.astype(inner.dtype)
     points, shares = [], []
-    for corner in np.ndindex(2, 2, 2):
-        x, y, z = (low[:, axis] + side for axis, side in enumerate(corner))
-        points.append((x * counts[1] + y) * counts[2] + z)
-        a, b, c = (high[:, axis] if side else 1 - high[:, axis] for axis, side in enumerate(corner))
-        shares.append(a * b * c)
+    last_two = jnp.stack([1 - high[:, 2], high[:, 2]], axis=1)
+    for corner in np.ndindex(2, 2):
+        x, y = (low[:, axis] + side for axis, side in enumerate(corner))
+        points.append((x * counts[1] + y) * counts[2] + low[:, 2])
+        a, b = (high[:, axis] if side else 1 - high[:, axis] for axis, side in enumerate(corner))
+        shares.append((a * b)[:, None] * last_two)
     return Between(jnp.stack(points, axis=1), jnp.stack(shares, axis=1))
 
 

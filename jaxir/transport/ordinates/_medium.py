@@ -68,7 +68,7 @@ class Part(eqx.Module):
     def read(self, point: Array, toward: Float[Array, "ray harmonic"], table: Array) -> tuple[Array, Between, Array]:
         """Coefficients at points, with `toward` as harmonics and scattered [ray, node]; where that is; scattering."""
         between, scattering = about(self.counts, self.medium.to_cube(point)), self.medium.scattering_at(point)
-        near = jnp.where(jnp.any(scattering > 0, axis=1, keepdims=True), between.share, 0)
+        near = jnp.where(jnp.any(scattering > 0, axis=1)[:, None, None], between.share, 0)
         return collected(between.point[:, None], near[:, None], scattering[:, None], toward, table), between, scattering
 
     def source(self, point: Array, direction: Array, toward: Array, tables: Sequence[Array]) -> list[Array]:

@@ -51,6 +51,7 @@ MOST = 2**30  # numbers that transport may keep
 # particles absorb next to nothing errs a thousand times as much.
 CLOSE = {"float32": 2e-6, "float64": 1e-8}
 MOST_STEPS = 200
+TOGETHER = 16  # nodes solved for together: little scattering ends sooner than much
 FEWER = 2  # degrees of the solution that shows what harmonics do
 CLOSE_OF_FEWER = 1e-4  # residual at which that ends
 
@@ -89,32 +90,48 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     lobes = harmonics(direction, order)
     by_direction = weight[:, None] * lobes
 
+    groups = -(-nodes // TOGETHER)
+
+    def grouped(of_nodes: Array) -> Array:
+        """Groups of nodes of a table [group, ..., node]; the last is filled with zeros."""
+        many = -(-nodes // groups)
+        filled = jnp.pad(of_nodes, [(0, 0)] * (of_nodes.ndim - 1) + [(0, groups * many - nodes)])
+        return jnp.moveaxis(filled.reshape(*of_nodes.shape[:-1], groups, many), -2, 0)
+
     def ahead(total: Array, own: tuple[Array, Array]) -> tuple[Array, list[tuple[Between, Array]]]:
         rays = Rays(point, jnp.broadcast_to(-own[0], point.shape))
         came = own[1][None, :, None] * arriving(lit, rays)[:, None]
-        return total + came, _ahead(medium, list(zip(parts, lattices, strict=True)), rays, _length(lit, rays))
+        steps = _ahead(medium, list(zip(parts, lattices, strict=True)), rays, _length(lit, rays))
+        return total + came, [(between, grouped(passed)) for between, passed in steps]
 
     none = jnp.zeros((point.shape[0], lobes.shape[1], nodes), point.dtype)
     unscattered, routes = lax.scan(ahead, none, (direction, by_direction))
+    where, passed = [route[0] for route in routes], [route[1] for route in routes]
 
     def split(table: Array) -> list[Array]:
         return jnp.split(table, np.cumsum(sizes)[:-1].tolist())
 
-    def transported(table: Array, kept: Array) -> Array:
-        """K of coefficients [point, harmonic, node] of the harmonics that are kept."""
-        table = table * kept[None, :, None]
-        sent = [part * own.rest[None] for part, own in zip(split(table), moments, strict=True)]
-        into = [jnp.einsum("dh,phn->dpn", lobes, part) for part in sent]
+    def transported(table: Array, rest: list[Array], passed: list[Array]) -> Array:
+        """K of coefficients [point, harmonic, node] of some nodes.
+
+        Args:
+            table: the coefficients.
+            rest: moments of the harmonics that are kept, of each part [harmonic, node].
+            passed: what `_ahead` says of each part [direction, point, step, node].
+        """
+        into = [
+            jnp.einsum("dh,phn->dpn", lobes, part * own[None]) for part, own in zip(split(table), rest, strict=True)
+        ]
         once = jnp.ones((point.shape[0], 1), table.dtype)
 
         def one(_: None, own: tuple) -> tuple[None, Array]:
             came = jnp.zeros_like(table[:, 0])
-            for (between, passed), lattice, part in zip(own[0], lattices, own[1], strict=True):
-                place, near = (x.reshape(*passed.shape[:2], -1) for x in between)
-                came = came + collected(place, near, passed, once, refined(lattice, part)[:, None])
+            for (place, share), passed, lattice, part in zip(*own[:2], lattices, own[2], strict=True):
+                place, share = (x.reshape(*passed.shape[:2], *x.shape[1:]) for x in (place, share))
+                came = came + collected(place, share, passed, once, refined(lattice, part)[:, None])
             return None, came
 
-        return jnp.einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (routes, into))[1])
+        return jnp.einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (where, passed, into))[1])
 
     beams = [
         tuple(_beam(lit, medium, part, lattice, source) for source in lit.scene.delta_sources)
@@ -127,14 +144,28 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     scale = jnp.max(jnp.abs(begin), axis=(0, 1))
     scale = lax.stop_gradient(jnp.where(scale > 0, scale, 1))[None, None]
 
-    def found(asked: tuple[Array, Array]) -> tuple[Array, Array]:
-        kept, close = asked
-        return solved(lambda table: transported(table, kept), begin / scale, close, MOST_STEPS)
-
     degree = degrees(order)
     fewer = degree <= max(order - FEWER, 0)
-    close = as_float(np.array([CLOSE[str(begin.dtype)], CLOSE_OF_FEWER]))
-    solutions, rests = lax.map(found, (as_float(np.stack([degree >= 0, fewer])), close))
+    kept, close = (
+        as_float(np.stack([degree >= 0, fewer])),
+        as_float(np.array([CLOSE[str(begin.dtype)], CLOSE_OF_FEWER])),
+    )
+
+    def of_nodes(own: tuple[Array, list[Array], list[Array]]) -> tuple[Array, Array]:
+        """Solutions of some nodes, with all harmonics and with fewer, and what they lack."""
+        begin, rest, passed = own
+
+        def with_harmonics(near: Array, own: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
+            some = [part * own[0][:, None] for part in rest]
+            found = solved(lambda table: transported(table, some, passed), begin, own[1], MOST_STEPS, near)
+            return found[0], found
+
+        return lax.scan(with_harmonics, jnp.zeros_like(begin), (kept, close))[1]
+
+    asked = grouped(begin / scale), [grouped(own.rest) for own in moments], [jnp.moveaxis(x, 1, 0) for x in passed]
+    solutions, rests = lax.map(of_nodes, asked)
+    solutions = jnp.moveaxis(solutions, 0, -2)
+    solutions = solutions.reshape(*solutions.shape[:-2], -1)[..., :nodes]
     each, rough = (split(x * scale - straight) for x in solutions)  # beams are scattered with the whole lobe
     errs = ordinates.orders > 0  # and that is sampled, in the medium as it is
     held = tuple(
@@ -154,7 +185,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     )
     step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
     backward = jnp.max(jnp.stack([own.beyond for own in moments]))
-    return Scattered(given if errs else medium, held, order, *lax.stop_gradient((rests[0], step, backward)))
+    return Scattered(given if errs else medium, held, order, *lax.stop_gradient((jnp.max(rests[:, 0]), step, backward)))
 
 
 def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
