@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import ndimage
 
 import jaxir
 from jaxir import plot
@@ -274,37 +275,39 @@ def intensities_around(tables: Tables, step: float) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class Side:
-    """What is seen from the side in vacuum, by band."""
+    """What is seen from the side in the air, by band: of the images, without what the air itself sends."""
 
-    skin: np.ndarray  # intensity of the skin alone [W sr-1]
-    plume: np.ndarray  # and of the plume alone
-    brightest: np.ndarray  # radiance of the plume's brightest pixel [W m-2 sr-1]
-    area: np.ndarray  # of pixels at least a thousandth as bright as the plain plume's brightest [m2]
+    skin: np.ndarray  # intensity of the pixels that see skin [W sr-1]
+    plume: np.ndarray  # and of the others
+    brightest: np.ndarray  # radiance of the brightest pixel beside the skin [W m-2 sr-1]
+    area: np.ndarray  # of pixels at least a thousandth as bright as the brightest of the plain plume [m2]
 
 
-def from_the_side(made: Scenes, nodes: jaxir.Nodes, method: jaxir.Method) -> dict[str, Side]:
-    """Skin and plume apart."""
-    camera = jaxir.perspective_camera(90, 0, 5_000.0, 4e-5, (24, 200), target=(aircraft.TAIL_X - 15.0, 0, 0))
+def from_the_side(seen: dict[str, jaxir.Image], mesh: jaxir.Mesh, pixels: int) -> dict[str, Side]:
+    """Skin and plume apart, by what the middles of pixels see; those next to skin are not the plume's brightest."""
+    camera = camera_at("air", pixels)
+    skin = np.asarray(jaxir.visible_faces(mesh, camera)) >= 0
+    beside = ~ndimage.binary_dilation(skin)
+    size = np.asarray(camera.pixel_area())[:, :, None]
     found: dict[str, Side] = {}
-    for name, scene in made.items():
-        skin, plume = jaxir.Scene(scene.skin, sources=scene.sources), jaxir.Scene(None, scene.plumes, scene.sources)
-        table = jaxir.signature(skin, [[90.0, 0.0]], nodes, distance=5_000.0)
-        image = jaxir.render(plume, camera, nodes, samples=2, method=method)
-        radiance = np.asarray(image.radiance)
-        brightest = radiance.max((0, 1))
+    for name in ("plain", "suppressed"):
+        image = seen[f"{name}, air"]
+        radiance = np.asarray(image.radiance) - np.asarray(image.empty)
+        brightest = radiance[beside].max(axis=0)
         least = (found["plain"].brightest if found else brightest) / 1000
-        area = (np.asarray(camera.pixel_area())[:, :, None] * (radiance > least)).sum((0, 1))
-        found[name] = Side(np.asarray(table.intensity)[0], np.asarray(image.radiant_intensity()), brightest, area)
+        sums = [(size * radiance * where[:, :, None]).sum((0, 1)) for where in (skin, ~skin)]
+        found[name] = Side(*sums, brightest, (size * ((radiance > least) & ~skin[:, :, None])).sum((0, 1)))
     return found
 
 
 def plume_aside(jet: jaxir.JetPlume, nodes: jaxir.Nodes) -> np.ndarray:
-    """What a plume alone sends to the side in vacuum [band] [W sr-1]."""
-    return np.asarray(jaxir.signature(jaxir.Scene(None, jet), [[90.0, 0.0]], nodes, shape=(32, 128)).intensity)[0]
+    """What a plume alone sends to the side, behind the air [band] [W sr-1]."""
+    alone = jaxir.Scene(None, jet, atmosphere=path_of("air"))
+    return np.asarray(jaxir.signature(alone, [[90.0, 0.0]], nodes, distance=5_000.0, shape=(32, 128)).intensity)[0]
 
 
 def cooler_exhaust(scene: jaxir.Scene, nodes: jaxir.Nodes, skin: np.ndarray) -> list[str]:
-    """How the bands of the plain aircraft rank from the side in vacuum if the exhaust were cooler."""
+    """How the bands of the plain aircraft rank from the side in the air if the exhaust were cooler."""
     said = []
     for kelvin in (600.0, 800.0, 1000.0, 1400.0, 2000.0):
         jet = eqx.tree_at(lambda plume: plume.exit_temperature, scene.plume, jnp.asarray(kelvin))
@@ -317,7 +320,7 @@ def cooler_exhaust(scene: jaxir.Scene, nodes: jaxir.Nodes, skin: np.ndarray) -> 
 
 
 def surroundings(scene: jaxir.Scene, nodes: jaxir.Nodes) -> list[str]:
-    """What the plain plume sends to the side in vacuum, in the air of Table 3 as printed and of 10 km altitude."""
+    """What the plain plume sends to the side, in the air of Table 3 as printed and of 10 km altitude."""
     said = []
     assert isinstance(scene.plume, jaxir.JetPlume)
     for name, pressure, kelvin in (
@@ -434,7 +437,7 @@ def main(run: Run) -> str:
         save_tiff(stem.with_suffix(".tif"), image)
     run.chart(image_panels(seen), dpi=110, bbox_inches="tight")
     after_images = time.perf_counter()
-    side = from_the_side(made, nodes, effort.method)
+    side = from_the_side(seen, mesh, effort.pixels)
     said = conclusions(tables, side)
     whole, every = sum(line.startswith("holds:") for line in said), len(said)
     said += ["what the air does:", *surroundings(made["plain"], nodes)]
