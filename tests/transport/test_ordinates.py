@@ -15,6 +15,7 @@ from jaxir import DiscreteOrdinates, Method
 from jaxir.geometry import degrees, harmonics, sphere_rule
 from jaxir.optics.spectrum import gray_nodes
 from jaxir.transport import _evaluate, with_scattered
+from jaxir.transport.ordinates._medium import chosen_rays
 
 COARSE = Method(scattering=DiscreteOrdinates(7, 5, 2))
 
@@ -248,6 +249,19 @@ def test_images_have_no_noise_of_it_and_tell_what_is_left():
     assert 0 < float(images[0].truncation[0]) < 0.05
     budget = images[0].error_budget()
     np.testing.assert_allclose(budget.truncation, images[0].truncation * images[0].radiant_intensity(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("azimuth", [90.0, 150.0, 180.0])
+def test_the_error_is_looked_for_where_a_narrow_jet_is_bright(azimuth):
+    """The rays on which it is found make up the intensity of the image."""
+    scene = jaxir.Scene(None, dataclasses.replace(jet(), length=30.0), jaxir.ParallelSource((0.0, 0.0, -1.0), 30.0))
+    method = Method(scattering=DiscreteOrdinates(17, 5))
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), method.resolved(scene))
+    camera = jaxir.orthographic_camera(azimuth, 0, 0.1, (64, 320), target=(-15.0, 0.0, 0.0))
+    rays, weight = chosen_rays(lit.medium.parts[0], camera, scene.start(camera))
+    radiance = lit.nodes.in_band(lit.medium.lacking(rays)[0])
+    image = jaxir.render(scene, camera, [jaxir.MWIR], method=method)
+    np.testing.assert_allclose(weight @ radiance, image.radiant_intensity(), rtol=0.05)
 
 
 def along_the_axis(panels, albedo=0.99, absorption=0.05):

@@ -26,7 +26,9 @@ THICK = 4.0  # optical depth of scattering between neighbours of the lattice acr
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
 MORE = 8  # cuts of a ray where light that reaches it comes from
-SIDE = 16  # of the grid of rays on which an image's error is found
+SIDE = 64  # of the grid of rays of which those are chosen on which an image's error is found
+CHOSEN = 256  # of them
+POINTS = 32  # of each at which it is seen how bright it is
 
 
 class Beam(eqx.Module):
@@ -53,6 +55,7 @@ class Part(eqx.Module):
         field: L_lm [read, harmonic, node]; None where what the lattice errs is not sampled.
         rough: `moments` if there were fewer harmonics [read, few, node].
         lacking: what `unresolved` says that their mean over all directions lacks [read, 1, node].
+        glow: emission and scattering in the mean over directions, as shares of the largest of each node [read, 1, 1].
         beams: of all sources without extent.
     """
 
@@ -62,6 +65,7 @@ class Part(eqx.Module):
     field: Float[Array, "read harmonic node"] | None
     rough: Float[Array, "read few node"]
     lacking: Float[Array, "read 1 node"]
+    glow: Float[Array, "read 1 1"]
     beams: tuple[Beam, ...]
     counts: tuple[int, int, int] = eqx.field(static=True)
 
@@ -70,6 +74,17 @@ class Part(eqx.Module):
         between, scattering = about(self.counts, self.medium.to_cube(point)), self.medium.scattering_at(point)
         near = jnp.where(jnp.any(scattering > 0, axis=1)[:, None, None], between.share, 0)
         return collected(between.point[:, None], near[:, None], scattering[:, None], toward, table), between, scattering
+
+    def brightness(self, rays: Rays) -> Float[Array, " ray"]:
+        """How bright rays are in the mean over the nodes if nothing is absorbed on their way."""
+        cuts = self.medium.cuts(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
+        length = (cuts[:, -1] - cuts[:, 0]) / POINTS
+        t = cuts[:, :1] + length[:, None] * as_float(np.arange(POINTS) + 0.5)[None]
+        place = rays.origin[:, None] + t[..., None] * rays.direction[:, None]
+        between = about(self.counts, self.medium.to_cube(place.reshape(-1, 3)))
+        near, share = (x.reshape(*t.shape, *x.shape[1:]) for x in between)
+        each = jnp.broadcast_to(length[:, None, None], (*t.shape, 1))
+        return collected(near, share, each, jnp.ones_like(length)[:, None], self.glow)[:, 0]
 
     def source(self, point: Array, direction: Array, toward: Array, tables: Sequence[Array]) -> list[Array]:
         """J of rays in `direction` at points [ray, node] [W m-3 sr-1] by tables of moments.
@@ -254,6 +269,23 @@ def solution_checks(lit: Lit) -> list[Check]:
     ]
 
 
+def chosen_rays(part: Part, camera: Camera, start: Float[Array, ""]) -> tuple[Rays, Float[Array, " ray"]]:
+    """Rays of a camera through a plume and their weights: sum weight L is the plume's intensity I of `spread_over`.
+
+    A jet is narrow where it is brightest. Of `SIDE`^2 even rays `CHOSEN` are taken, at even quantiles of the sum of how
+    bright they are if nothing is absorbed; something is, so half of the sum is that of equal shares.
+    """
+    edges = as_float(np.array(list(np.ndindex(2, 2, 2))))
+    screen, weight = camera.spread_over(part.medium.from_cube(edges), SIDE)
+    bright = part.brightness(camera.bundle(screen, start).rays())
+    mean = jnp.mean(bright)
+    share = (bright / jnp.where(mean > 0, mean, 1) + 1) / 2
+    below = jnp.cumsum(share)
+    quantile = below[-1] * as_float((np.arange(CHOSEN) + 0.5) / CHOSEN)
+    taken = jnp.minimum(jnp.searchsorted(below, quantile), SIDE**2 - 1)
+    return camera.bundle(screen[taken], start).rays(), weight[taken] * below[-1] / (CHOSEN * share[taken])
+
+
 def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     """Share of the intensity of plumes in a camera's image that the lattice lacks [band].
 
@@ -263,11 +295,9 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     """
     if not isinstance(lit.medium, Scattered):
         return None
-    start, edges = lit.scene.start(camera), as_float(np.array(list(np.ndindex(2, 2, 2))))
     found = jnp.zeros((4, lit.nodes.count), camera.pixel.dtype)
     for part in lit.medium.parts:
-        screen, weight = camera.spread_over(part.medium.from_cube(edges), SIDE)
-        rays = camera.bundle(screen, start).rays()
+        rays, weight = chosen_rays(part, camera, lit.scene.start(camera))
         found = found + jnp.stack([weight @ radiance for radiance in lit.medium.lacking(rays)])
     whole, rough, coarse, pieces = (lit.nodes.in_band(each) for each in found)
     if lit.medium.parts[0].field is not None:

@@ -176,6 +176,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
             field=refined(lattice, table) if errs else None,
             rough=lax.stop_gradient(refined(lattice, (few * own.rest[None])[:, fewer])),
             lacking=lax.stop_gradient(unresolved(lattice, table)),
+            glow=lax.stop_gradient(_glow(part, lattice, table)),
             beams=shining,
             counts=lattice.read,
         )
@@ -200,6 +201,15 @@ def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
         both = [lax.slice_in_dim(scattering, k, last - 1 + k, axis=axis) for k in (0, 1)]
         found.append(jnp.max(apart * jnp.maximum(*both)))
     return jnp.min(jnp.stack(found))
+
+
+def _glow(medium: AbstractScatterer, lattice: Lattice, table: Float[Array, "point harmonic node"]) -> Array:
+    """See `Part.glow`."""
+    point = medium.from_cube(as_float(places(lattice.read)))
+    mean = jnp.maximum(refined(lattice, table[:, 0]), 0)
+    each = medium.coefficients(point)[1] + medium.scattering_at(point) * mean
+    most = each.max(axis=0)
+    return jnp.mean(each / jnp.where(most > 0, most, 1)[None], axis=1)[:, None, None]
 
 
 class _Moments(NamedTuple):
