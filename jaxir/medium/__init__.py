@@ -8,6 +8,7 @@ from jaxir.medium._distance import sample_in_cells as sample_in_cells
 from jaxir.medium._distance import sample_in_panels as sample_in_panels
 from jaxir.medium._jet import JetMedium as JetMedium
 from jaxir.medium._jet import tabulated_jet as tabulated_jet
+from jaxir.medium._jet_layers import panel_weights as panel_weights
 from jaxir.medium._jet_shape import JetShape as JetShape
 from jaxir.medium._jet_shape import meets_jet as meets_jet
 from jaxir.medium._jet_shape import panel_edges as panel_edges
@@ -23,4 +24,5 @@ from jaxir.medium._primitives import register_linear as register_linear
 from jaxir.medium._primitives import streaming_primitive as streaming_primitive
 from jaxir.medium._sum import MediumSum as MediumSum
 from jaxir.medium._sum import merged_cuts as merged_cuts
+from jaxir.medium._sum import panel_points as panel_points
 from jaxir.medium._sum import radiance_between as radiance_between

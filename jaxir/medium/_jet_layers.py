@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir.optics import thinning, through_layer
+from jaxir.optics import phi1, thinning, through_layer
 
 COMPUTED = 256  # knots at which the optics are computed, 7 K apart between 300 and 2000 K
 BETWEEN = 4  # knots of the table for each interval of those
@@ -99,6 +99,17 @@ def front_of_panel(behind: Array, near_u: Array, far_u: Array, near_j: Array, fa
     unit = jnp.ones_like(behind)
     between = through_layer(behind, far_u + shift_u, far_j + shift_j, unit)
     return through_layer(between, near_u - shift_u, near_j - shift_j, unit)
+
+
+def panel_weights(near_u: Array, far_u: Array) -> tuple[Array, Array]:
+    """Shares of the emissions at both points of a panel in the radiance in front of it.
+
+    As of `front_of_panel`, where emissions at both points are not so different that it holds back.
+    """
+    shift = _shift(near_u, far_u)[0]
+    near, far = phi1(near_u - shift), jnp.exp(shift - near_u) * phi1(far_u + shift)
+    x = _EXTRAPOLATE
+    return (1 + x) * near - x * far, (1 + x) * far - x * near
 
 
 def _factors(behind: Array, near_u: Array, far_u: Array, near_j: Array, far_j: Array) -> tuple[Array, Array, list]:

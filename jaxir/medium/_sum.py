@@ -109,7 +109,7 @@ def radiance_between(
             near, far = ([x * half[:, None] for x in coefficients(some[1], t)] for t in (near_t, far_t))
             return front_of_panel(radiance, near[0], far[0], near[1], far[1]), None
 
-        return lax.scan(panel, some[2], _points(some[0]), reverse=True)[0]
+        return lax.scan(panel, some[2], panel_points(some[0]), reverse=True)[0]
 
     meets = cuts[:, 0] < cuts[:, -1]
     found = for_active(along, meets, (cuts, rays, behind), behind.shape[1])
@@ -126,7 +126,7 @@ def merged_cuts(each: Sequence[Float[Array, "ray _cut"]]) -> Float[Array, "ray c
     return jnp.sort(jnp.concatenate(held, axis=1), axis=1)
 
 
-def _points(cuts: Float[Array, "ray cut"]) -> tuple[Float[Array, "panel 2 ray"], Float[Array, "panel ray"]]:
+def panel_points(cuts: Float[Array, "ray cut"]) -> tuple[Float[Array, "panel 2 ray"], Float[Array, "panel ray"]]:
     """Distances of the two points of all panels, near to far, and half the panels' lengths [m]."""
     begin, length = cuts[:, :-1].T, jnp.diff(cuts, axis=1).T
     return begin[:, None] + jnp.stack([length * share for share in GAUSS], axis=1), length / 2

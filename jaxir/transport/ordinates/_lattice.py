@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,28 +21,37 @@ INSET = 1e-3  # of the cube's edges, by which the outer points lie inside
 
 
 class Lattice(NamedTuple):
-    """Points of a medium's cube: those that are solved for, those that are read, and the way from one to the other."""
+    """Points of a medium's cube: those that are solved for and those that are read, and ways from one to the other.
+
+    Attributes:
+        solved: how many along each edge.
+        read: how many along each edge.
+        cubics: see `_cubic`, of each edge.
+        plain: the same without what is taken from the values.
+    """
 
     solved: tuple[int, int, int]
     read: tuple[int, int, int]
     cubics: tuple[np.ndarray, ...]
+    plain: tuple[np.ndarray, ...]
 
 
 def lattice_of(medium: AbstractScatterer, ordinates: DiscreteOrdinates) -> Lattice:
     solved = medium.lattice(ordinates.along, ordinates.across)
-    cubics = tuple(_cubic(count) for count in solved)
+    cubics, plain = (tuple(_cubic(count, taken) for count in solved) for taken in (1.0, 0.0))
     read = tuple(len(matrix) for matrix in cubics)
-    return Lattice(solved, (read[0], read[1], read[2]), cubics)
+    return Lattice(solved, (read[0], read[1], read[2]), cubics, plain)
 
 
-def _cubic(count: int) -> np.ndarray:
+def _cubic(count: int, taken: float = 1.0) -> np.ndarray:
     """What is read between `count` even points from values at them [read, solved], by a cubic spline.
 
     Straight lines between values of a curve lie beside it by h^2 / 12 of its second derivative in the mean, h being
-    their length; they are drawn between values from which this is taken, so that sums along rays err less.
+    their length; they are drawn between values from which this, or a share of it, is taken, so that sums along rays err
+    less.
     """
     spline, place = _spline(np.arange(count)), np.arange(FINER * (count - 1) + 1) / FINER
-    return spline(place) - spline(place, nu=2) / (12 * FINER**2)
+    return spline(place) - taken * spline(place, nu=2) / (12 * FINER**2)
 
 
 def _spline(given: np.ndarray) -> BSpline:
@@ -57,10 +67,12 @@ def places(counts: tuple[int, ...]) -> np.ndarray:
     return np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def refined(lattice: Lattice, table: Float[Array, "point *more"]) -> Float[Array, "read *more"]:
-    """A table at the points that are read."""
+def refined(
+    lattice: Lattice, table: Float[Array, "point *more"], ways: Sequence[Any] | None = None
+) -> Float[Array, "read *more"]:
+    """A table at the points that are read, by the lattice's `cubics` or other `ways`."""
     whole = table.reshape(*lattice.solved, -1)
-    for axis, matrix in enumerate(lattice.cubics):
+    for axis, matrix in enumerate(lattice.cubics if ways is None else ways):
         whole = jnp.moveaxis(jnp.tensordot(as_float(matrix), whole, axes=(1, axis)), 0, axis)
     return whole.reshape(-1, *table.shape[1:])
 
@@ -96,18 +108,3 @@ def about(counts: tuple[int, ...], place: Float[Array, "ray 3"]) -> Between:
         a, b = (high[:, axis] if side else 1 - high[:, axis] for axis, side in enumerate(corner))
         shares.append((a * b)[:, None] * last_two)
     return Between(jnp.stack(points, axis=1), jnp.stack(shares, axis=1))
-
-
-def unresolved(lattice: Lattice, table: Float[Array, "point harmonic node"]) -> Float[Array, "read 1 node"]:
-    """Estimate of what interpolation errs, of the mean over all directions.
-
-    It is an eighth of how far cubics between every second of the lattice's points are from the others.
-    """
-    whole = mean = table[:, 0].reshape(*lattice.solved, -1)
-    for axis, count in enumerate(lattice.solved):
-        place = np.unique(np.append(np.arange(0, count, 2), count - 1))
-        spline = _spline(place)(np.arange(count))
-        half = jnp.take(whole, place, axis=axis)
-        whole = jnp.moveaxis(jnp.tensordot(as_float(spline), half, axes=(1, axis)), 0, axis)
-    apart = (jnp.abs(whole - mean) / 8).reshape(table.shape[0], 1, -1)
-    return jnp.maximum(refined(lattice, apart), 0)

@@ -54,7 +54,7 @@ class Part(eqx.Module):
         moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
         field: L_lm [read, harmonic, node]; None where what the lattice errs is not sampled.
         rough: `moments` if there were fewer harmonics [read, few, node].
-        lacking: what `unresolved` says that their mean over all directions lacks [read, 1, node].
+        lacking: how they change with the way in which the lattice is read, see `Lattice.plain` [read, few, node].
         glow: emission and scattering in the mean over directions, as shares of the largest of each node [read, 1, 1].
         beams: of all sources without extent.
     """
@@ -64,7 +64,7 @@ class Part(eqx.Module):
     moments: Float[Array, "read harmonic node"]
     field: Float[Array, "read harmonic node"] | None
     rough: Float[Array, "read few node"]
-    lacking: Float[Array, "read 1 node"]
+    lacking: Float[Array, "read few node"]
     glow: Float[Array, "read 1 1"]
     beams: tuple[Beam, ...]
     counts: tuple[int, int, int] = eqx.field(static=True)
@@ -169,8 +169,8 @@ class Scattered(AbstractMedium):
     def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], ...]:
         """Radiance of the plumes alone [ray, node], that of fewer harmonics, and what else it may lack.
 
-        That is what `unresolved` sees for the lattice's coarseness, and `SLOW` times what changes as every piece of a
-        ray is halved.
+        That is half of what changes with the way in which the lattice is read, with its sign, and `SLOW` times what
+        changes as every piece of a ray is halved.
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.parts[0].lacking.shape[2]), rays.origin.dtype)
@@ -183,7 +183,7 @@ class Scattered(AbstractMedium):
             for part in self.parts:
                 found, few = part.source(point, rays.direction, toward, [part.moments, part.rough])
                 whole, rough = whole + found, rough + few
-                coarse = coarse + part.read(point, toward[:, :1], part.lacking)[0]
+                coarse = coarse + part.read(point, toward[:, : part.lacking.shape[1]], part.lacking)[0] / 2
             return jnp.tile(extinction, 3), jnp.concatenate([whole, rough, coarse], axis=1)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
@@ -302,4 +302,4 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     whole, rough, coarse, pieces = (lit.nodes.in_band(each) for each in found)
     if lit.medium.parts[0].field is not None:
         return pieces / jnp.where(whole > 0, whole, 1)
-    return (coarse + pieces + jnp.abs(whole - rough)) / jnp.where(whole > 0, whole, 1)
+    return (jnp.abs(coarse) + pieces + jnp.abs(whole - rough)) / jnp.where(whole > 0, whole, 1)

@@ -15,7 +15,8 @@ however often light is scattered. L is then known along every other ray by one i
 Of a forward lobe the share f = chi_(order + 1) is taken as not scattered (Wiscombe, "The delta-M method", J. Atmos.
 Sci. 34, 1977), and light of sources without extent is scattered once with the whole phase function (Nakajima and
 Tanaka, JQSRT 40, 1988). Between the lattice's points L_lm is interpolated by cubics, and the optical depth towards
-sources linearly on a lattice `FINER` times as fine. Rays to the lattice's points read it `STEPS` + 1 times each.
+sources linearly on a lattice `FINER` times as fine. Rays to the lattice's points read it twice
+in each of `PANELS`.
 """
 
 from __future__ import annotations
@@ -36,16 +37,16 @@ from jaxir._arrays import as_float
 from jaxir._math import safe_sqrt, sum_before
 from jaxir.geometry import Rays, degrees, harmonics, sphere_rule
 from jaxir.geometry.search import any_hit, closest_hit
-from jaxir.medium import AbstractMedium, AbstractScatterer, merged_cuts
-from jaxir.optics import phi1, thinning
+from jaxir.medium import AbstractMedium, AbstractScatterer, merged_cuts, panel_points, panel_weights
 from jaxir.scene import Lit
 from jaxir.transport._method import DiscreteOrdinates
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._krylov import solved
-from jaxir.transport.ordinates._lattice import Between, Lattice, about, lattice_of, places, refined, unresolved
+from jaxir.transport.ordinates._lattice import Between, Lattice, about, lattice_of, places, refined
 from jaxir.transport.ordinates._medium import Beam, Part, Scattered
 
-STEPS = 12  # points of a ray between the lattice's points, nearer to one another near its own
+PANELS = 6  # of a ray between the lattice's points
+PROBED = 24  # points of it at which it is seen where they shall lie
 MOST = 2**30  # numbers that transport may keep
 # Residual at which to end, as a share of the first term, of each node. Light out of the far end of a deep plume whose
 # particles absorb next to nothing errs a thousand times as much.
@@ -53,7 +54,7 @@ CLOSE = {"float32": 2e-6, "float64": 1e-8}
 MOST_STEPS = 200
 TOGETHER = 16  # nodes solved for together: little scattering ends sooner than much
 FEWER = 2  # degrees of the solution that shows what harmonics do
-CLOSE_OF_FEWER = 1e-4  # residual at which that ends
+CLOSE_OF_OTHERS = 1e-4  # residual at which those end that show what the lattice errs
 
 
 def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays], Array]) -> Scattered:
@@ -81,7 +82,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     sizes = [math.prod(lattice.solved) for lattice in lattices]
     point = jnp.concatenate([p.from_cube(as_float(places(x.solved))) for p, x in zip(parts, lattices, strict=True)])
     direction, weight = (as_float(x) for x in sphere_rule(2 * order))
-    need = len(direction) * sum(sizes) * (STEPS + 1) * nodes * len(parts) ** 2
+    need = len(direction) * sum(sizes) * 2 * PANELS * nodes * len(parts) ** 2
     if need > MOST:
         raise ValueError(
             f"DiscreteOrdinates: got {need:.2g} numbers to keep, expected at most {MOST:.2g}; take fewer points "
@@ -111,13 +112,14 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     def split(table: Array) -> list[Array]:
         return jnp.split(table, np.cumsum(sizes)[:-1].tolist())
 
-    def transported(table: Array, rest: list[Array], passed: list[Array]) -> Array:
+    def transported(table: Array, rest: list[Array], passed: list[Array], ways: list) -> Array:
         """K of coefficients [point, harmonic, node] of some nodes.
 
         Args:
             table: the coefficients.
             rest: moments of the harmonics that are kept, of each part [harmonic, node].
             passed: what `_ahead` says of each part [direction, point, step, node].
+            ways: to the points that are read, of each part.
         """
         into = [
             jnp.einsum("dh,phn->dpn", lobes, part * own[None]) for part, own in zip(split(table), rest, strict=True)
@@ -126,9 +128,9 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
 
         def one(_: None, own: tuple) -> tuple[None, Array]:
             came = jnp.zeros_like(table[:, 0])
-            for (place, share), passed, lattice, part in zip(*own[:2], lattices, own[2], strict=True):
+            for (place, share), passed, lattice, part, way in zip(*own[:2], lattices, own[2], ways, strict=True):
                 place, share = (x.reshape(*passed.shape[:2], *x.shape[1:]) for x in (place, share))
-                came = came + collected(place, share, passed, once, refined(lattice, part)[:, None])
+                came = came + collected(place, share, passed, once, refined(lattice, part, way)[:, None])
             return None, came
 
         return jnp.einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (where, passed, into))[1])
@@ -146,27 +148,28 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
 
     degree = degrees(order)
     fewer = degree <= max(order - FEWER, 0)
-    kept, close = (
-        as_float(np.stack([degree >= 0, fewer])),
-        as_float(np.array([CLOSE[str(begin.dtype)], CLOSE_OF_FEWER])),
-    )
+    every = np.ones_like(fewer)
+    kept, first = as_float(np.stack([every, fewer, every])), as_float(np.array([1, 0, 0]))
+    close = as_float(np.array([CLOSE[str(begin.dtype)], CLOSE_OF_OTHERS, CLOSE_OF_OTHERS]))
+    ways = [[as_float(np.stack([c, c, p])) for c, p in zip(x.cubics, x.plain, strict=True)] for x in lattices]
 
     def of_nodes(own: tuple[Array, list[Array], list[Array]]) -> tuple[Array, Array]:
-        """Solutions of some nodes, with all harmonics and with fewer, and what they lack."""
+        """Solutions of some nodes, with fewer harmonics, and read as by `Lattice.plain`; and what they lack."""
         begin, rest, passed = own
 
-        def with_harmonics(near: Array, own: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
-            some = [part * own[0][:, None] for part in rest]
-            found = solved(lambda table: transported(table, some, passed), begin, own[1], MOST_STEPS, near)
-            return found[0], found
+        def one(near: Array, own: tuple[Array, Array, list, Array]) -> tuple[Array, tuple[Array, Array]]:
+            kept, close, way, first = own
+            some = [part * kept[:, None] for part in rest]
+            found = solved(lambda table: transported(table, some, passed, way), begin, close, MOST_STEPS, near)
+            return near + first * found[0], found  # the others begin at the first
 
-        return lax.scan(with_harmonics, jnp.zeros_like(begin), (kept, close))[1]
+        return lax.scan(one, jnp.zeros_like(begin), (kept, close, ways, first))[1]
 
     asked = grouped(begin / scale), [grouped(own.rest) for own in moments], [jnp.moveaxis(x, 1, 0) for x in passed]
     solutions, rests = lax.map(of_nodes, asked)
     solutions = jnp.moveaxis(solutions, 0, -2)
     solutions = solutions.reshape(*solutions.shape[:-2], -1)[..., :nodes]
-    each, rough = (split(x * scale - straight) for x in solutions)  # beams are scattered with the whole lobe
+    each, rough, other = (split(x * scale - straight) for x in solutions)  # beams are scattered with the whole lobe
     errs = ordinates.orders > 0  # and that is sampled, in the medium as it is
     held = tuple(
         Part(
@@ -175,13 +178,16 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
             moments=refined(lattice, table * (own.all if errs else own.rest)[None]),
             field=refined(lattice, table) if errs else None,
             rough=lax.stop_gradient(refined(lattice, (few * own.rest[None])[:, fewer])),
-            lacking=lax.stop_gradient(unresolved(lattice, table)),
+            lacking=lax.stop_gradient(
+                refined(lattice, (table * own.rest[None])[:, fewer])
+                - refined(lattice, (plain * own.rest[None])[:, fewer], lattice.plain)
+            ),
             glow=lax.stop_gradient(_glow(part, lattice, table)),
             beams=shining,
             counts=lattice.read,
         )
-        for whole, part, lattice, table, few, shining, own in zip(
-            given.parts_with_particles, parts, lattices, each, rough, beams, moments, strict=True
+        for whole, part, lattice, table, few, plain, shining, own in zip(
+            given.parts_with_particles, parts, lattices, each, rough, other, beams, moments, strict=True
         )
     )
     step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
@@ -245,27 +251,35 @@ def _ahead(
 ) -> list[tuple[Between, Array]]:
     """How rays from the lattice's points read what is scattered on their way: where, and with which weight.
 
-    In each step the medium is as in its middle, and light goes linearly from one end to the other.
+    A panel is integrated from two points, see `panel_weights`. Panels are short near the rays' origins, and where what
+    is seen from there ends.
     """
-    share = as_float((np.arange(STEPS + 1) / STEPS) ** 2)
-    cuts = [part.cuts(rays, length) for part, _ in parts]
-    edge = merged_cuts([own[:, :1] + (own[:, -1:] - own[:, :1]) * share[None] for own in cuts])
-    step = jnp.diff(edge, axis=1)
 
     def points(t: Array) -> Array:
         return (rays.origin[:, None] + t[..., None] * rays.direction[:, None]).reshape(-1, 3)
 
-    middle, ends = points((edge[:, 1:] + edge[:, :-1]) / 2), points(edge)
-    layer = medium.coefficients(middle)[0].reshape(*step.shape, -1) * step[..., None]
-    before, at_end = jnp.exp(-sum_before(layer, 1)) * step[..., None], thinning(layer)
-    sent = jnp.stack([before * (phi1(layer) - at_end), before * at_end])
+    def edges(cuts: Array) -> Array:
+        near = as_float((np.arange(PROBED + 1) / PROBED) ** 2)
+        t = cuts[:, :1] + (cuts[:, -1:] - cuts[:, :1]) * near[None]
+        extinction = medium.coefficients(points((t[:, 1:] + t[:, :-1]) / 2))[0].reshape(rays.count, PROBED, -1)
+        passed = jnp.exp(-jnp.cumsum(extinction * jnp.diff(t)[..., None], axis=1))
+        hidden = jnp.concatenate([jnp.zeros_like(t[:, :1]), jnp.mean(1 - passed, axis=2)], axis=1)
+        most = hidden[:, -1:]
+        share = (hidden / jnp.where(most > 0, most, 1) + as_float(np.arange(PROBED + 1) / PROBED)[None]) / 2
+        wanted = share[:, -1:] * as_float(np.arange(PANELS + 1) / PANELS)[None]
+        return jax.vmap(jnp.interp)(wanted, share, t)
+
+    t, half = panel_points(merged_cuts([edges(part.cuts(rays, length)) for part, _ in parts]))
+    t, half = jnp.moveaxis(t, 2, 0), half.T[:, :, None]
+    place = points(t.reshape(rays.count, -1))
+    depth = medium.coefficients(place)[0].reshape(*t.shape, -1) * half[:, :, None]
+    before = jnp.exp(-sum_before(depth.sum(axis=2), 1)) * half
+    sent = jnp.stack([before * share for share in panel_weights(depth[:, :, 0], depth[:, :, 1])], axis=2)
 
     def weights(part: AbstractScatterer) -> Array:
-        near, far = sent * part.scattering_at(middle).reshape(layer.shape)[None]
-        none = jnp.zeros_like(near[:, :1])
-        return jnp.concatenate([near, none], axis=1) + jnp.concatenate([none, far], axis=1)
+        return (sent * part.scattering_at(place).reshape(sent.shape)).reshape(rays.count, 2 * t.shape[1], -1)
 
-    return [(about(lattice.read, part.to_cube(ends)), weights(part)) for part, lattice in parts]
+    return [(about(lattice.read, part.to_cube(place)), weights(part)) for part, lattice in parts]
 
 
 def _beam(lit: Lit, medium: AbstractMedium, part: AbstractScatterer, lattice: Lattice, source: Any) -> Beam:
