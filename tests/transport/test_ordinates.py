@@ -334,11 +334,11 @@ def slab_emits(depth, albedo, asymmetry):
 @pytest.mark.parametrize(
     "slab, exact, error",
     [
-        ((1.0, 0.5, 0.0), (0.454822, 0.619961, 0.559126), 0.002),
-        ((1.0, 0.9, 0.0), (0.140965, 0.191498, 0.172542), 0.005),
-        ((1.0, 0.9, 0.5), (None, None, 0.1734992), 0.005),
+        ((1.0, 0.5, 0.0), (0.454822, 0.619961, 0.559126), 0.001),
+        ((1.0, 0.9, 0.0), (0.140965, 0.191498, 0.172542), 0.003),
+        ((1.0, 0.9, 0.5), (None, None, 0.1734992), 0.003),
         ((20.0, 0.5, 0.0), (0.884774, None, 0.853456), 0.025),  # as thick as a half-space
-        ((20.0, 0.9, 0.0), (0.585053, None, 0.521976), 0.04),
+        ((20.0, 0.9, 0.0), (0.585053, None, 0.521976), 0.03),
     ],
 )
 def test_slabs_emit_what_is_known(x64, slab, exact, error):
@@ -363,3 +363,20 @@ def test_what_is_scattered_of_the_sun_is_what_is_taken_from_it(x64):
     seen = np.asarray(look(scene, rays, Method(scattering=DiscreteOrdinates(9, 9)))).reshape(len(direction), -1)
     scattered = np.sum(weight * seen.mean(axis=1)) * (2 * half) ** 2
     np.testing.assert_allclose(scattered, 4 * (1 - np.exp(-1.0)), rtol=4e-3)
+
+
+@pytest.mark.parametrize("depth, points, order", [(0.3, 17, 5), (1.0, 33, 7)])
+def test_what_a_slab_reflects_and_transmits_of_the_sun_is_all_of_it(x64, depth, points, order):
+    """R + T = 1 by the lattice alone: a slab 1 m thick and 40 m wide that absorbs nothing."""
+    cosine, weight = (x / 2 for x in np.polynomial.legendre.leggauss(32))
+    cosine = np.concatenate([cosine + 0.5, -cosine - 0.5])
+    toward = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], axis=1)
+    origin = np.array([[0.0, 0.0, 0.5]]) - 5 * toward / np.abs(cosine)[:, None]
+    grid = jaxir.Grid((-20.0, -20.0, 0.0), (20.0, 20.0, 1 / 32), (2, 2, 32))
+    particles = jaxir.GrayParticles(depth, 1.0, jaxir.Isotropic())
+    plume = jaxir.GridPlume(grid, 50.0, jaxir.GrayGas(0.0), particles)
+    scene = jaxir.Scene(None, plume, jaxir.ParallelSource((0.0, 0.0, -1.0), 1.0))
+    method = Method(scattering=DiscreteOrdinates(points, 15, order))
+    seen = np.asarray(look(scene, jaxir.Rays(jnp.asarray(origin), jnp.asarray(toward)), method))[:, 0]
+    leaves = 2 * np.pi * np.sum(np.tile(weight, 2) * np.abs(cosine) * seen)
+    assert abs(leaves / (1 - np.exp(-depth)) - 1) < 1e-4
