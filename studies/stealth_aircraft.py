@@ -19,7 +19,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import ndimage
 
 import jaxir
 from jaxir import plot
@@ -222,23 +221,21 @@ def camera_at(place: str, pixels: int) -> jaxir.Camera:
     return jaxir.perspective_camera(azimuth, elevation, distance, pixel, (pixels, pixels), target=(-4.0, 0.0, 0.0))
 
 
-def images(made: Scenes, nodes: jaxir.Nodes, effort: Effort) -> dict[str, jaxir.Image]:
-    """Fig. 15."""
-    found = {}
+def look(scene: jaxir.Scene, place: str, camera: jaxir.Camera, nodes: jaxir.Nodes, effort: Effort) -> jaxir.Image:
+    """An image through the air; alike in structure for all cameras of as many pixels."""
     # the plume is looked for from the skin, where it is a thousandth of the intensity, and grain if met by chance
     method = dataclasses.replace(effort.method, plume_light=jaxir.PlumeLight())
-    for place in PLACES:
-        camera = camera_at(place, effort.pixels)
-        for name, scene in made.items():
-            seen = eqx.tree_at(lambda s: s.atmosphere, scene, path_of(place), is_leaf=lambda x: x is None)
-            found[f"{name}, {place}"] = jaxir.render(
-                seen,
-                camera,
-                nodes,
-                samples=effort.samples,
-                method=method,
-            )
-    return found
+    seen = eqx.tree_at(lambda s: s.atmosphere, scene, path_of(place), is_leaf=lambda x: x is None)
+    return jaxir.render(seen, camera, nodes, samples=effort.samples, method=method)
+
+
+def images(made: Scenes, nodes: jaxir.Nodes, effort: Effort) -> dict[str, jaxir.Image]:
+    """Fig. 15."""
+    return {
+        f"{name}, {place}": look(scene, place, camera_at(place, effort.pixels), nodes, effort)
+        for place in PLACES
+        for name, scene in made.items()
+    }
 
 
 def image_panels(seen: dict[str, jaxir.Image]) -> Any:
@@ -275,7 +272,7 @@ def intensities_around(tables: Tables, step: float) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class Side:
-    """What is seen from the side in the air, by band: of the images, without what the air itself sends."""
+    """What is seen from the side in the air, by band, without what the air itself sends."""
 
     skin: np.ndarray  # intensity of the pixels that see skin [W sr-1]
     plume: np.ndarray  # and of the others
@@ -283,17 +280,20 @@ class Side:
     area: np.ndarray  # of pixels at least a thousandth as bright as the brightest of the plain plume [m2]
 
 
-def from_the_side(seen: dict[str, jaxir.Image], mesh: jaxir.Mesh, pixels: int) -> dict[str, Side]:
-    """Skin and plume apart, by what the middles of pixels see; those next to skin are not the plume's brightest."""
-    camera = camera_at("air", pixels)
+def from_the_side(made: Scenes, mesh: jaxir.Mesh, nodes: jaxir.Nodes, effort: Effort) -> dict[str, Side]:
+    """Skin and plume apart, by what the middles of pixels see."""
+    pixels = effort.pixels
+    distance, across = PLACES["air"][1], 80.0  # [m]
+    camera = jaxir.perspective_camera(
+        90, 0, distance, across / distance / pixels, (pixels, pixels), target=(aircraft.TAIL_X - 15.0, 0, 0)
+    )
     skin = np.asarray(jaxir.visible_faces(mesh, camera)) >= 0
-    beside = ~ndimage.binary_dilation(skin)
     size = np.asarray(camera.pixel_area())[:, :, None]
     found: dict[str, Side] = {}
-    for name in ("plain", "suppressed"):
-        image = seen[f"{name}, air"]
+    for name, scene in made.items():
+        image = look(scene, "air", camera, nodes, effort)
         radiance = np.asarray(image.radiance) - np.asarray(image.empty)
-        brightest = radiance[beside].max(axis=0)
+        brightest = radiance[~skin].max(axis=0)
         least = (found["plain"].brightest if found else brightest) / 1000
         sums = [(size * radiance * where[:, :, None]).sum((0, 1)) for where in (skin, ~skin)]
         found[name] = Side(*sums, brightest, (size * ((radiance > least) & ~skin[:, :, None])).sum((0, 1)))
@@ -395,7 +395,7 @@ def conclusions(tables: Tables, side: dict[str, Side]) -> list[str]:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--quick", action="store_true", help="few aspects and nodes: some seven minutes")
+    parser.add_argument("--quick", action="store_true", help="few aspects and nodes: some three minutes")
     parser.add_argument("--mesh", help="your own mesh (STL, OBJ, PLY, GLB), nose along +x, z up")
     parser.add_argument("--unit", choices=list(METRES), help="length unit of --mesh (required with it)")
     parser.add_argument("--temperature", type=float, default=255.0, help="skin temperature of --mesh [K] (%(default)s)")
@@ -437,7 +437,7 @@ def main(run: Run) -> str:
         save_tiff(stem.with_suffix(".tif"), image)
     run.chart(image_panels(seen), dpi=110, bbox_inches="tight")
     after_images = time.perf_counter()
-    side = from_the_side(seen, mesh, effort.pixels)
+    side = from_the_side(made, mesh, nodes, effort)
     said = conclusions(tables, side)
     whole, every = sum(line.startswith("holds:") for line in said), len(said)
     said += ["what the air does:", *surroundings(made["plain"], nodes)]
