@@ -85,8 +85,9 @@ class DiscreteOrdinates(Physical):
 
     However often light is scattered: no order is left out, and images have no noise of it. What errs instead is the
     lattice, by about a per cent of the scattered light, and the harmonics, by up to some per cent of what little a jet
-    sends along its own axis. `Image.truncation` estimates both view by view, the harmonics by a second solution with
-    two degrees fewer, most often too much. An optical depth of scattering above 4 between points across a plume, or a
+    sends along its own axis. `Image.truncation` estimates both view by view: the harmonics by a second solution with
+    two degrees fewer, most often too much, the lattice by half of what changes in a third that is read between the
+    points by other splines. An optical depth of scattering above 4 between points across a plume, or a
     lobe backward that the harmonics do not resolve, is refused. Shadows of the skin on the plume are as sharp as the
     lattice, and what scattered light skin reflects back into the plume is left out.
     Costs some 15 times along across^2 (2 order + 2) (2 order + 3) rays once for a scene, and a few times more for a ray

@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float, Shaped
 
 KEPT = 3  # more take as many steps: K is nearly its own transpose
-PATIENCE = 16  # steps after which the residual has to be smaller, in one node at least
+PATIENCE = 16  # steps in which the residual has to fall, in one node at least
 
 
 def solved(
@@ -32,7 +32,7 @@ def solved(
         applied: K, a linear operator of tables that acts on each node by itself.
         begin: b.
         close: residual at which to end, as a share of b: root mean square, in the worst node.
-        most: applications of K at most. It ends before where `PATIENCE` more lowered the residual no further.
+        most: applications of K at most; fewer where `PATIENCE` of them no longer halve the squared residual.
         near: a table that the solution may be near to, which is the first direction; zeros where there is none.
 
     Returns:

@@ -15,8 +15,7 @@ however often light is scattered. L is then known along every other ray by one i
 Of a forward lobe the share f = chi_(order + 1) is taken as not scattered (Wiscombe, "The delta-M method", J. Atmos.
 Sci. 34, 1977), and light of sources without extent is scattered once with the whole phase function (Nakajima and
 Tanaka, JQSRT 40, 1988). Between the lattice's points L_lm is interpolated by cubics, and the optical depth towards
-sources linearly on a lattice `FINER` times as fine. Rays to the lattice's points read it twice
-in each of `PANELS`.
+sources linearly on a lattice `FINER` times as fine. Rays to the lattice's points read it twice in each of `PANELS`.
 """
 
 from __future__ import annotations
