@@ -24,9 +24,10 @@ class Rays(eqx.Module):
         """Number of rays."""
         return self.origin.shape[0]
 
-    def at(self, t: Float[Array, " ray"]) -> Float[Array, "ray 3"]:
-        """Points at distance `t` [ray] [m] along the rays."""
-        return self.origin + t[:, None] * self.direction
+    def at(self, t: Float[Array, "ray *more"]) -> Float[Array, "ray *more 3"]:
+        """Points at distances `t` [ray, ...] [m] along the rays."""
+        among = (self.count, *(1,) * (t.ndim - 1), 3)
+        return self.origin.reshape(among) + t[..., None] * self.direction.reshape(among)
 
 
 class Bundle(eqx.Module):

@@ -155,7 +155,7 @@ def sample_between(
     """`AbstractPlume.sample_distance` by what the plume proposes in the middle of each panel between its cuts."""
     cuts = plume.cuts(rays, t_max)
     middle = (cuts[:, 1:] + cuts[:, :-1]) / 2
-    point = rays.origin[:, None] + middle[..., None] * rays.direction[:, None]
+    point = rays.at(middle)
     proposed = [proposal.extinction for proposal in plume.proposals(point.reshape(-1, 3))]
     extinction = jnp.sum(jnp.stack(proposed), axis=0).reshape(middle.shape)
     return sample_in_panels(cuts, extinction, u, forced)

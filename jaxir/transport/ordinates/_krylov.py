@@ -38,28 +38,27 @@ def solved(
     Returns:
         x, and its residual in those terms. Differentiable in b and in what `applied` holds, in both modes.
     """
-    guess = None if near is None else lax.stop_gradient(near)
+    guess = jnp.zeros_like(begin) if near is None else lax.stop_gradient(near)
+    guessed = _shaped(jnp.any((guess != 0).reshape(-1, guess.shape[-1]), axis=0), guess)
 
     def lacking(table: Array) -> Array:
         return table - applied(table)
 
     def solve(operator: Callable, b: Array) -> tuple[Array, Array]:
-        size = _dot(b, b)
-        size = jnp.where(size > 0, size, 1)
+        squared = _dot(b, b)
+        size = jnp.where(squared > 0, squared, 1)
         none = jnp.zeros((KEPT, *b.shape), b.dtype)
-        state = jnp.int32(0), jnp.zeros_like(b), b, none, none, jnp.ones((KEPT, size.shape[0]), b.dtype), 4 * size
+        sizes = jnp.ones((KEPT, size.shape[0]), b.dtype)
+        state = jnp.int32(0), jnp.zeros_like(b), b, none, none, sizes, squared, 4 * size
 
         def going_on(state: tuple) -> Array:
-            count, left, before = state[0], _dot(state[2], state[2]), state[-1]
+            count, *_, left, before = state
             falls = (count % PATIENCE != 0) | (left < before / 2)
             return (count < most) & jnp.any((left > close**2 * size) & falls)
 
         def step(state: tuple) -> tuple:
-            count, x, residual, ways, images, sizes, before = state
-            left = _dot(residual, residual)
-            way = residual
-            if guess is not None:
-                way = jnp.where(_shaped((count == 0) & (_dot(guess, guess) > 0), guess), guess, residual)
+            count, x, residual, ways, images, sizes, left, before = state
+            way = jnp.where(guessed & (count == 0), guess, residual)
             image = operator(way)
             for k in range(KEPT):
                 share = _dot(image, images[k]) / sizes[k]
@@ -68,18 +67,20 @@ def solved(
             long = jnp.where(long > 0, long, 1)
             share = _dot(residual, image) / long
             place = count % KEPT
+            residual = residual - _along(share, image)
             return (
                 count + 1,
                 x + _along(share, way),
-                residual - _along(share, image),
+                residual,
                 lax.dynamic_update_index_in_dim(ways, way, place, 0),
                 lax.dynamic_update_index_in_dim(images, image, place, 0),
                 lax.dynamic_update_index_in_dim(sizes, long, place, 0),
+                _dot(residual, residual),
                 jnp.where(count % PATIENCE == 0, left, before),
             )
 
-        _, x, residual, *_ = lax.while_loop(going_on, step, state)
-        return x, jnp.max(jnp.sqrt(_dot(residual, residual) / size))
+        _, x, *_, left, _ = lax.while_loop(going_on, step, state)
+        return x, jnp.max(jnp.sqrt(left / size))
 
     return lax.custom_linear_solve(lacking, begin, solve, solve, has_aux=True)
 

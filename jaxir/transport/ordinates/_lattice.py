@@ -50,15 +50,15 @@ def _cubic(count: int, taken: float = 1.0) -> np.ndarray:
     their length; they are drawn between values from which this, or a share of it, is taken, so that sums along rays err
     less.
     """
-    spline, place = _spline(np.arange(count)), np.arange(FINER * (count - 1) + 1) / FINER
+    spline, place = _spline(count), np.arange(FINER * (count - 1) + 1) / FINER
     return spline(place) - taken * spline(place, nu=2) / (12 * FINER**2)
 
 
-def _spline(given: np.ndarray) -> BSpline:
-    """The spline of each value [given] by itself, cubic where there are points enough."""
+def _spline(count: int) -> BSpline:
+    """The spline of each of `count` even values by itself, cubic where there are points enough."""
     from scipy.interpolate import make_interp_spline  # which takes long to import
 
-    return make_interp_spline(given, np.eye(len(given)), k=min(3, len(given) - 1))
+    return make_interp_spline(np.arange(count), np.eye(count), k=min(3, count - 1))
 
 
 def places(counts: tuple[int, ...]) -> np.ndarray:

@@ -80,8 +80,7 @@ class Part(eqx.Module):
         cuts = self.medium.cuts(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         length = (cuts[:, -1] - cuts[:, 0]) / POINTS
         t = cuts[:, :1] + length[:, None] * as_float(np.arange(POINTS) + 0.5)[None]
-        place = rays.origin[:, None] + t[..., None] * rays.direction[:, None]
-        between = about(self.counts, self.medium.to_cube(place.reshape(-1, 3)))
+        between = about(self.counts, self.medium.to_cube(rays.at(t).reshape(-1, 3)))
         near, share = (x.reshape(*t.shape, *x.shape[1:]) for x in between)
         each = jnp.broadcast_to(length[:, None, None], (*t.shape, 1))
         return collected(near, share, each, jnp.ones_like(length)[:, None], self.glow)[:, 0]
@@ -277,13 +276,15 @@ def chosen_rays(part: Part, camera: Camera, start: Float[Array, ""]) -> tuple[Ra
     """
     edges = as_float(np.array(list(np.ndindex(2, 2, 2))))
     screen, weight = camera.spread_over(part.medium.from_cube(edges), SIDE)
-    bright = part.brightness(camera.bundle(screen, start).rays())
+    rays = camera.bundle(screen, start).rays()
+    bright = part.brightness(rays)
     mean = jnp.mean(bright)
     share = (bright / jnp.where(mean > 0, mean, 1) + 1) / 2
     below = jnp.cumsum(share)
     quantile = below[-1] * as_float((np.arange(CHOSEN) + 0.5) / CHOSEN)
     taken = jnp.minimum(jnp.searchsorted(below, quantile), SIDE**2 - 1)
-    return camera.bundle(screen[taken], start).rays(), weight[taken] * below[-1] / (CHOSEN * share[taken])
+    chosen = jax.tree.map(lambda of_all: of_all[taken], rays)
+    return chosen, weight[taken] * below[-1] / (CHOSEN * share[taken])
 
 
 def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:

@@ -254,13 +254,11 @@ def _ahead(
     is seen from there ends.
     """
 
-    def points(t: Array) -> Array:
-        return (rays.origin[:, None] + t[..., None] * rays.direction[:, None]).reshape(-1, 3)
-
     def edges(cuts: Array) -> Array:
         near = as_float((np.arange(PROBED + 1) / PROBED) ** 2)
         t = cuts[:, :1] + (cuts[:, -1:] - cuts[:, :1]) * near[None]
-        extinction = medium.coefficients(points((t[:, 1:] + t[:, :-1]) / 2))[0].reshape(rays.count, PROBED, -1)
+        middle = rays.at((t[:, 1:] + t[:, :-1]) / 2).reshape(-1, 3)
+        extinction = medium.coefficients(middle)[0].reshape(rays.count, PROBED, -1)
         passed = jnp.exp(-jnp.cumsum(extinction * jnp.diff(t)[..., None], axis=1))
         hidden = jnp.concatenate([jnp.zeros_like(t[:, :1]), jnp.mean(1 - passed, axis=2)], axis=1)
         most = hidden[:, -1:]
@@ -270,7 +268,7 @@ def _ahead(
 
     t, half = panel_points(merged_cuts([edges(part.cuts(rays, length)) for part, _ in parts]))
     t, half = jnp.moveaxis(t, 2, 0), half.T[:, :, None]
-    place = points(t.reshape(rays.count, -1))
+    place = rays.at(t).reshape(-1, 3)
     depth = medium.coefficients(place)[0].reshape(*t.shape, -1) * half[:, :, None]
     before = jnp.exp(-sum_before(depth.sum(axis=2), 1)) * half
     sent = jnp.stack([before * share for share in panel_weights(depth[:, :, 0], depth[:, :, 1])], axis=2)
