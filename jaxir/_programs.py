@@ -66,32 +66,63 @@ class _Ready:
         return jax.tree.unflatten(self._structure, leaves)
 
 
-def program(function: F) -> F:
-    """Compile a pure function of a module as `equinox.filter_jit` does, and keep its executables; see the head."""
-    jitted: Any = eqx.filter_jit(function)
-    held: dict[Any, _Ready | None] = {}  # None where it has to be `jitted`
+class _Program:
+    """A function as `program` compiles it."""
 
-    @functools.wraps(function)
-    def call(*args: Any, **kwargs: Any) -> Any:
-        if not keeps() or any(getattr(jax.config, name, False) for name in _PLAINLY):
-            return jitted(*args, **kwargs)
-        leaves, structure = jax.tree.flatten((args, kwargs))
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-            return jitted(*args, **kwargs)
-        signature = structure, tuple(map(_kind, leaves)), _settings()
-        arrays = [_bare(leaf) for leaf in leaves if eqx.is_array(leaf)]
-        if signature not in held:
-            held[signature] = _ready(function, structure, leaves, arrays, signature)
-        ready = held[signature]
+    def __init__(self, function: Callable[..., Any]):
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._jitted: Any = eqx.filter_jit(function)
+        self._held: dict[Any, _Ready | None] = {}  # None where it has to be `_jitted`
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        ready, arrays, signature = self._found(args, kwargs)
         try:
-            return jitted(*args, **kwargs) if ready is None else ready(arrays)
+            return self._jitted(*args, **kwargs) if ready is None else ready(arrays)
         except jax.errors.JaxRuntimeError:
             if ready is None or not ready.loaded:
                 raise
-        held[signature] = None  # what was kept lacks something
-        return jitted(*args, **kwargs)
+        self._held[signature] = None  # what was kept lacks something
+        return self._jitted(*args, **kwargs)
 
-    return call  # type: ignore[return-value]
+    def _found(self, args: tuple, kwargs: dict) -> tuple[_Ready | None, list[Any], Any]:
+        """The executable for these arguments, None where they are for `_jitted`; their arrays; where it is held."""
+        if not keeps() or any(getattr(jax.config, name, False) for name in _PLAINLY):
+            return None, [], None
+        leaves, structure = jax.tree.flatten((args, kwargs))
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return None, [], None
+        signature = structure, tuple(map(_kind, leaves)), _settings()
+        arrays = [_bare(leaf) for leaf in leaves if eqx.is_array(leaf)]
+        if signature not in self._held:
+            self._held[signature] = _ready(self._function, structure, leaves, arrays, signature)
+        return self._held[signature], arrays, signature
+
+    def of_items(self, inputs: Any) -> Callable[[Any], Any]:
+        """See `of_items`."""
+        known: list[Any] = []  # the executable and the arrays of `inputs`
+
+        def of(item: Any) -> Any:
+            own = jax.tree.leaves(item)
+            if known:
+                ready, arrays = known
+                return self._jitted(inputs, item) if ready is None else ready([*arrays, *own])
+            result = self(inputs, item)  # which may find that what was kept lacks something
+            ready, arrays, _ = self._found((inputs, item), {})
+            known.extend((ready, arrays[: len(arrays) - len(own)]))
+            return result
+
+        return of
+
+
+def program(function: F) -> F:
+    """Compile a pure function of a module as `equinox.filter_jit` does, and keep its executables; see the head."""
+    return _Program(function)  # type: ignore[return-value]
+
+
+def of_items(function: Callable[[Any, Any], Any], inputs: Any) -> Callable[[Any], Any]:
+    """`function(inputs, item)` of many items, of arrays alike on the device: a program looks at its inputs once."""
+    return function.of_items(inputs) if isinstance(function, _Program) else functools.partial(function, inputs)
 
 
 def _ready(

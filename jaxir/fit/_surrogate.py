@@ -28,8 +28,8 @@ from jax import lax
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float, placed
+from jaxir._concurrent import side_by_side
 from jaxir._programs import program
-from jaxir.fit._concurrent import side_by_side
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._observation import Observation, RaySum, ViewRays, ray_sum
 from jaxir.fit._problem import Problem

@@ -25,7 +25,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import placed
-from jaxir._programs import program
+from jaxir._concurrent import each_of
+from jaxir._programs import of_items, program
 from jaxir.geometry import TILE, Camera
 from jaxir.imaging._chunks import Estimate, Pass, Seen, Varied, see
 from jaxir.imaging._devices import progress
@@ -204,9 +205,13 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
     size = taken.spots
     count, end = strata.count, np.cumsum(strata.count)
     sums: Any = None
+    own = of_items(_seen_at, taken)
+
+    def seen_at(chunk: tuple[np.ndarray, Spots, Array]) -> tuple[np.ndarray, tuple[Seen, Varied]]:
+        return chunk[0], jax.device_get(own(chunk[1:]))
+
     with progress("render", -(-int(end[-1] if end.size else 0) // size)) as done:
-        for number, (pixel, spots) in enumerate(_in_chunks(strata, end, size)):
-            seen = jax.device_get(_seen_at(taken, spots, placed(np.uint32(number))))
+        for pixel, seen in each_of(seen_at, _in_chunks(strata, end, size)):
             if sums is None:
                 sums = jax.tree.map(lambda leaf: np.zeros((count.size, *leaf.shape[1:])), seen)
             jax.tree.map(partial(_add_by_pixel, pixel), sums, seen)
@@ -238,23 +243,24 @@ def _add_by_pixel(pixel: np.ndarray, total: np.ndarray, leaf: np.ndarray) -> Non
     total[pixel[starts]] += np.add.reduceat(leaf[: pixel.size], starts, axis=0, dtype=float)
 
 
-def _in_chunks(strata: Strata, end: np.ndarray, size: int) -> Iterator[tuple[np.ndarray, Spots]]:
-    """Pixel of each spot, and the spots, of which the last fill up the last chunk."""
+def _in_chunks(strata: Strata, end: np.ndarray, size: int) -> Iterator[tuple[np.ndarray, Spots, Array]]:
+    """Pixel of each spot, the spots, of which the last fill up the last chunk, and the chunk's number."""
     total = int(end[-1]) if end.size else 0
-    for start in range(0, total, size):
+    for number, start in enumerate(range(0, total, size)):
         index = np.arange(start, start + size)
         pixel = np.searchsorted(end, np.minimum(index, total - 1), side="right")
         within = np.minimum(index, total - 1) - (end - strata.count)[pixel]
         cells = strata.cells[pixel]
         corner = np.stack([within % cells[:, 0], within // cells[:, 0]], axis=-1)
         spots = (strata.row[pixel], strata.column[pixel], corner, cells)
-        yield pixel[: min(size, total - start)], Spots(*(placed(part.astype(np.int32)) for part in spots))
+        every = Spots(*(placed(part.astype(np.int32)) for part in spots))
+        yield pixel[: min(size, total - start)], every, placed(np.uint32(number))
 
 
 @program
-def _seen_at(taken: Pass, spots: Spots, number: Array) -> tuple[Seen, Varied]:
-    """Mean of two rays in each stratum, and a quarter of their squared difference."""
-    camera = taken.camera
+def _seen_at(taken: Pass, chunk: tuple[Spots, Array]) -> tuple[Seen, Varied]:
+    """Mean of two rays in each stratum of a chunk with its number, and a quarter of their squared difference."""
+    camera, (spots, number) = taken.camera, chunk
     own = jax.random.fold_in(jax.random.fold_in(jax.random.fold_in(taken.key, OF_SPOTS), taken.number), number)
     for_places, for_paths = jax.random.split(own)
     word = jax.random.bits(for_places, (spots.row.shape[0], 2), jnp.uint32)

@@ -1,4 +1,4 @@
-"""The same function of many items, on one device after another or on all devices of a mesh at once.
+"""The same function of many items, on one device or on all devices of a mesh at once.
 
 Every device works on items of its own and none waits for another inside an item, so loops of unequal length cost
 nothing; what is gathered is the results alone. Random numbers belong to the item, so results do not depend on which
@@ -22,7 +22,8 @@ from jaxtyping import Array, Int
 from tqdm import tqdm
 
 from jaxir._arrays import is_traced, placed
-from jaxir._programs import program
+from jaxir._concurrent import each_of
+from jaxir._programs import of_items, program
 
 AXIS = "devices"
 
@@ -115,9 +116,11 @@ def item_by_item(
     One by one with the result of one, or with `devices` one of each and the results stacked [item, ...].
     """
     if devices is None:
+        of = of_items(function, inputs)
         with progress(label, len(items)) as done:
-            for item in items:
-                yield np.asarray([item]), jax.block_until_ready(function(inputs, placed(item)))
+            every = each_of(lambda item: jax.block_until_ready(of(placed(item))), items)
+            for item, result in zip(items, every, strict=True):
+                yield np.asarray([item]), result
                 done(1)
         return
     shared = NamedSharding(devices, PartitionSpec())

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Int
 
 from jaxir._arrays import as_float, placed
+from jaxir._concurrent import cores, each_of
+from jaxir._programs import of_items
 from jaxir.imaging._chunks import Estimate, Pass, as_number, estimate_chunk
 from jaxir.imaging._image import share_left_out
 
 CHUNKS = 8  # of a pilot; all of a small image
 SECONDS = 2.0  # after which a pilot takes no more chunks
 OF_PILOTS = 2**32 - 1  # the number of the pass that pilots take part of
-QUICK = 0.01  # seconds up to which a chunk is timed twice: other work may disturb it
+QUICK = 0.01  # seconds up to which chunks are timed twice: other work may disturb it
 
 
 class Pilot(NamedTuple):
@@ -46,12 +49,16 @@ def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
         unresolved: `lattice_error` of the image [band].
     """
     chunks, taken = taken.chunks(), taken._replace(number=as_number(OF_PILOTS))
-    compiled = _timed(taken, chunks[0])[1]
+    of, together = of_items(estimate_chunk, taken), 1 if taken.quick else cores()
+    compiled = _timed(of, chunks[:1])[1]
+    chosen = np.unique(np.linspace(0, len(chunks) - 1, CHUNKS).astype(np.int32))
     sums, times = [], []
-    for index in np.unique(np.linspace(0, len(chunks) - 1, CHUNKS).astype(int)):
-        estimate, spent = _timed(taken, chunks[index])
-        times.append(spent if spent > QUICK else min(spent, _timed(taken, chunks[index])[1]))
-        sums.append(_contribution(taken, int(index), estimate))
+    for begin in range(0, len(chosen), together):
+        some = chosen[begin : begin + together]
+        estimates, spent = _timed(of, some)
+        spent = spent if spent > QUICK else min(spent, _timed(of, some)[1])
+        times += [spent / len(some)] * len(some)
+        sums += [_contribution(taken, int(index), one) for index, one in zip(some, estimates, strict=True)]
         if sum(times) > SECONDS:
             break
     intensity, variance, orders = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
@@ -60,11 +67,11 @@ def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
     return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled, left)
 
 
-def _timed(taken: Pass, chunk: np.int32) -> tuple[Estimate, float]:
-    """A chunk, and the seconds that it took."""
+def _timed(of: Callable[[Array], Estimate], chunks: Int[np.ndarray, " chunk"]) -> tuple[list[Estimate], float]:
+    """Chunks, and the seconds that they took together."""
     began = time.perf_counter()
-    estimate = jax.block_until_ready(estimate_chunk(taken, placed(chunk)))
-    return estimate, time.perf_counter() - began
+    estimates = list(each_of(lambda chunk: jax.block_until_ready(of(placed(chunk))), chunks, len(chunks) > 1))
+    return estimates, time.perf_counter() - began
 
 
 def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
