@@ -1,4 +1,4 @@
-"""Rays where the error is: an image to an error of its pixels.
+"""Rays where the error is: an image to an error of its pixels, or of its intensity.
 
 A pilot of few rays, which are not part of the answer, tells how much each pixel varies; an image that places its rays
 by the samples that it averages is biased (Kirk and Arvo, "Unbiased sampling techniques for image synthesis", 1991). The
@@ -15,21 +15,34 @@ pilot's and half that of the nine around it: a pilot may have missed an edge tha
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator
 from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import placed
 from jaxir._concurrent import each_of
 from jaxir._programs import of_items, program
-from jaxir.geometry import TILE, Camera
-from jaxir.imaging._chunks import Estimate, Pass, Seen, Varied, see
-from jaxir.imaging._devices import progress
+from jaxir.geometry import TILE, Camera, pixel_strata
+from jaxir.imaging._chunks import (
+    Estimate,
+    Pass,
+    Seen,
+    Varied,
+    as_number,
+    estimate_chunk,
+    every_pixel,
+    image_of_pixels,
+    see,
+    whole_image,
+)
+from jaxir.imaging._devices import over_items, progress
 from jaxir.imaging._image import Image, joined
 
 PILOT = 4  # passes of the pilot, of two rays per pixel each
@@ -95,32 +108,78 @@ class Strata:
         return self.cells[:, 0] * self.cells[:, 1]
 
 
-def adapted(
-    base: Callable[[int], Image], with_own: Callable[[int, Strata], Image], goal: Goal, noisy: bool, most: int
-) -> tuple[Image, bool]:
+class Look(NamedTuple):
+    """What a pilot saw.
+
+    Attributes:
+        image: of `PILOT` passes of two rays in every pixel.
+        met: whether it is the answer.
+        constant: c of c / n^power, the share of the variance allowed that n rays in each pixel bring [row, column].
+        power: a.
+    """
+
+    image: Image
+    met: bool
+    constant: Float[np.ndarray, "row column"]
+    power: float
+
+    def strata(self, most: int) -> Int[np.ndarray, "row column"]:
+        """See `placement`."""
+        return placement(self.constant, self.power, most)
+
+
+def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = None) -> Image:
+    """An image of as many rays in every pixel.
+
+    Args:
+        taken: a pass of the image.
+        number: of the pass, which decides its random numbers.
+        samples: rays per pixel.
+        mesh: devices that share it, of `shared_by`.
+    """
+    taken = taken._replace(number=as_number(number), strata=pixel_strata(samples))
+    return over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh, taken.quick)
+
+
+def looked(first: Pass, goal: Goal, mesh: Mesh | None = None) -> Look:
+    """What a pilot of an image sees; arguments of `adapted`."""
+    power = 1.0 if first.method.needs_key(first.lit.scene) else 1.5
+    passes = [even_image(first, number, mesh=mesh) for number in range(PILOT)]
+    image = reduce(joined, passes)
+    met = goal.excess(image) <= 1 / 3  # few rays tell their own error poorly
+    constant = _around((goal.weight(image) * _of_two_rays(passes)).max(axis=-1) * 2**power)
+    return Look(image, met, constant, power)
+
+
+def adapted(first: Pass, goal: Goal, look: Look, most: int, mesh: Mesh | None = None) -> tuple[Image, bool]:
     """An image whose rays lie where its error is, and whether the goal is met.
 
     Args:
-        base: an image of two rays in every pixel, of a number of a pass.
-        with_own: the same with strata of their own in some pixels.
+        first: a pass of the image.
         goal: what is asked.
-        noisy: whether anything but the point in a pixel is drawn at random.
+        look: of its pilot.
         most: rays in a pixel at most.
+        mesh: devices that share it, of `shared_by`.
     """
-    passes, power = [base(number) for number in range(PILOT)], 1.0 if noisy else 1.5
-    pilot = reduce(joined, passes)
-    if goal.excess(pilot) <= 1 / 3:  # few rays tell their own error poorly
-        return pilot, True
-    constant = _around((goal.weight(pilot) * _of_two_rays(passes)).max(axis=-1) * 2**power)
+    if look.met:
+        return look.image, True
     for number in range(PILOT, PILOT + ROUNDS):
-        count = placement(constant, power, most)
-        image = with_own(number, strata_of(count, pilot.camera))
+        count = look.strata(most)
+        image = _image_with_strata(first, number, strata_of(count, first.camera), mesh)
         if goal.excess(image) <= 1:
             return image, True
         variance = np.asarray(image.standard_error, np.float64) ** 2
-        found = (goal.weight(image) * variance).max(axis=-1) * (2.0 * count) ** power
-        constant = np.maximum(constant, _around(found))
+        found = (goal.weight(image) * variance).max(axis=-1) * (2.0 * count) ** look.power
+        look = look._replace(constant=np.maximum(look.constant, _around(found)))
     return image, False
+
+
+def _image_with_strata(first: Pass, number: int, strata: Strata, mesh: Mesh | None) -> Image:
+    """An image of two rays in every pixel, with strata of their own in some."""
+    taken = first._replace(number=as_number(number), strata=(1, 1))
+    pixels = over_items(estimate_chunk, every_pixel, taken, taken.chunks(), "render", mesh, taken.quick)
+    mean = 2 + 2 * (strata.count - 1).sum() / math.prod(first.camera.shape)
+    return image_of_pixels(taken, with_strata(taken, pixels, strata), placed(np.int32(round(mean))))
 
 
 def _of_two_rays(passes: list[Image]) -> Float[np.ndarray, "row column band"]:

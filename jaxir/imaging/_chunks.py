@@ -38,7 +38,7 @@ TILES = 64  # of a chunk at most
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in the cache
 BLOCKS = 3  # in which the tiles of a chunk are traced at least, so that those that see nothing are left out
 PARTS = 8  # chunks of a small image, for so many devices to share
-QUICK = 2**20  # rays times nodes of an image that one program takes whole: a call for each chunk takes .5 ms each
+QUICK = 2**20  # work of an image that one program takes whole: a call for each chunk takes .5 ms each
 FEWER = 4  # times fewer tiles at once where paths may be long
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
 STRATA_AT_ONCE = 8  # of a pixel, whose rays are traced side by side: bundles then cover fewer pixels and faces
@@ -129,8 +129,11 @@ class Pass(NamedTuple):
     @property
     def quick(self) -> bool:
         """Whether to call a program for each chunk would take a share of the image's time that matters."""
-        rays = 2 * self.strata[0] * self.strata[1] * self.tiles * TILE * TILE
-        return rays * self._each * self.lit.nodes.count <= QUICK
+        return self.work(2 * self.strata[0] * self.strata[1]) <= QUICK
+
+    def work(self, samples: int) -> int:
+        """Rays of an image of so many in each pixel, times nodes and what a ray counts for."""
+        return samples * self.tiles * TILE * TILE * self._each * self.lit.nodes.count
 
     @property
     def tiles(self) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -11,24 +10,16 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
-from jaxir._arrays import is_traced, key_or_default, placed
-from jaxir.geometry import Camera, pixel_strata
-from jaxir.imaging._adaptive import Goal, Strata, adapted, with_strata
-from jaxir.imaging._chunks import (
-    PARTS,
-    Pass,
-    as_number,
-    estimate_chunk,
-    every_pixel,
-    first_pass,
-    image_of_pixels,
-    whole_image,
-)
-from jaxir.imaging._devices import over_items, shared_by
+from jaxir._arrays import is_traced, key_or_default
+from jaxir.geometry import Camera
+from jaxir.imaging._adaptive import Goal, adapted, even_image, looked
+from jaxir.imaging._choices import FEW
+from jaxir.imaging._chunks import PARTS, Pass, first_pass
+from jaxir.imaging._devices import shared_by
 from jaxir.imaging._image import Image, Outcome, joined, meets
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._pilot import well_shaped
-from jaxir.imaging._planning import FEW, plan_pass
+from jaxir.imaging._planning import plan_pass
 from jaxir.imaging._repeated import require_rtol
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
@@ -68,9 +59,9 @@ def render(
         key: random key; a fixed one by default, so results repeat.
         method: how light is found; by default `Method()`, or with rtol alone as `jaxir.plan` finds cheapest.
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
-            the intensity: passes of `samples` if given, else as `jaxir.plan` foretells. None takes one pass.
-            `Image.outcome` says whether it was met.
-        pixel_rtol: place rays where the error is (see `jaxir.imaging._adaptive`) until the root mean square standard
+            the intensity: passes of `samples` if given, else as `jaxir.plan` foretells, which places many rays where
+            the error is (see `jaxir.imaging._adaptive`). None takes one pass. `Image.outcome` says whether it was met.
+        pixel_rtol: place rays where the error is until the root mean square standard
             error over the pixels that see the target is at most this share of their mean contrast to the empty image,
             in every band; with rtol, both. Every pixel gets two rays of the image, and those that a pilot of eight
             finds to vary strata of their own, so `samples` has no meaning.
@@ -104,40 +95,29 @@ def render(
         max_samples=max_samples,
         components=components,
     )
+    mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
+    goal, look = Goal(rtol, pixel_rtol), None
     planned = samples is None and rtol is not None and pixel_rtol is None
     samples = 8 if samples is None else samples
     if planned and rtol is not None:
-        found = plan_pass(first._replace(components=None), rtol, max_samples, method is not None)
+        found, look = plan_pass(first._replace(components=None), rtol, max_samples, method is not None)
         first = first._replace(method=found.method, lit=with_scattered(first.lit, found.method))
         samples = found.samples
     first = first._replace(parts=PARTS if devices is None else max(PARTS, devices.size))
-    mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 
-    def take(number: int, samples: int) -> Image:
-        taken = first._replace(number=as_number(number), strata=pixel_strata(samples))
-        image = over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh, taken.quick)
-        asked = Asked(scene, taken.lit.nodes, camera, taken.method)
+    def ended(image: Image, met: bool | None) -> Image:
+        if met is not None:
+            outcome = Outcome.tolerance_met if met else Outcome.samples_spent
+            image = eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
+        asked = Asked(scene, first.lit.nodes, camera, first.method)
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
-    def ended(image: Image, met: bool) -> Image:
-        outcome = Outcome.tolerance_met if met else Outcome.samples_spent
-        return eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
-
-    if pixel_rtol is not None:
-
-        def with_own(number: int, strata: Strata) -> Image:
-            taken = first._replace(number=as_number(number), strata=(1, 1))
-            pixels = over_items(estimate_chunk, every_pixel, taken, taken.chunks(), "render", mesh, taken.quick)
-            pixels = with_strata(taken, pixels, strata)
-            mean = 2 + 2 * (strata.count - 1).sum() / math.prod(camera.shape)
-            image = image_of_pixels(taken, pixels, placed(np.int32(round(mean))))
-            return dataclasses.replace(image, asked=Asked(scene, taken.lit.nodes, camera, taken.method))
-
-        noisy = first.method.needs_key(first.lit.scene)
-        return ended(*adapted(lambda n: take(n, 2), with_own, Goal(rtol, pixel_rtol), noisy, max_samples))
-    image = take(0, samples)
+    if pixel_rtol is not None or look is not None:
+        look = looked(first, goal, mesh) if look is None or first.components is not None else look
+        return ended(*adapted(first, goal, look, max_samples, mesh))
+    image = even_image(first, 0, samples, mesh)
     if rtol is None:
-        return image
+        return ended(image, None)
     passes = [image]
 
     def enough() -> bool:
@@ -145,7 +125,7 @@ def render(
 
     while not enough() and int(image.samples) + samples <= max_samples:
         more = top_up(image, rtol, samples) if planned else samples
-        passes.append(take(len(passes), more))
+        passes.append(even_image(first, len(passes), more, mesh))
         image = joined(image, passes[-1])
     return ended(image, enough())
 

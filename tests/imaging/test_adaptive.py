@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import jaxir
+from jaxir.imaging import _choices
 from jaxir.imaging._adaptive import MARGIN, placement, strata_of, well_shaped_strata
 from tests.scenes import box_mesh
 
@@ -37,6 +38,29 @@ def test_neither_the_pixels_nor_their_sum_are_biased_and_the_errors_are_those_to
     told = np.asarray(truth.standard_error, float)[..., 0]
     z = apart.mean(axis=0)[varied] / np.hypot(spread[varied] / len(images) ** 0.5, told[varied])
     assert varied.sum() > 150 and 0.7 < np.mean(z**2) < 1.4 and np.abs(z).max() < 5
+
+
+def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch):
+    """As the plan says, without bias, as exact as asked, and with a part of the rays of an even image."""
+    even = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4)
+    monkeypatch.setattr(_choices, "LITTLE", 0)
+    plan = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4)
+    assert even.samples > _choices.EVEN and plan.samples < even.samples / 3
+    assert "rays each in the mean, 8 of them to find where the others are needed" in str(plan)
+    images = [rendered(key, rtol=3e-4) for key in range(40)]
+    assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
+    assert abs(np.mean([int(image.samples) for image in images]) + 8 - plan.samples) < 3
+    truth = rendered(1000, pixel_rtol=1e-3, max_samples=2**16)
+    intensity = np.array([image.radiant_intensity()[0] for image in images], float)
+    known = float(truth.radiant_intensity()[0])
+    spread, told = intensity.std(ddof=1), np.sqrt(np.mean([float(i.intensity_error()[0]) ** 2 for i in images]))
+    assert 0.7 < spread / told < 1.35 and told <= 3e-4 * known  # 40 keys: standard deviation .11
+    assert told > 0.5 * 3e-4 * known
+    apart = np.hypot(spread / len(images) ** 0.5, float(truth.intensity_error()[0]))
+    assert abs(intensity.mean() - known) < 4 * apart
+    split = rendered(1, rtol=3e-4, components="sources")
+    assert bool(split.outcome == jaxir.Outcome.tolerance_met)
+    np.testing.assert_allclose(split.component_intensity().sum(axis=0), split.radiant_intensity(), rtol=1e-3)
 
 
 def test_rays_lie_where_the_error_is():

@@ -7,7 +7,7 @@ import pytest
 
 import jaxir
 from jaxir.geometry import pixel_strata
-from jaxir.imaging import ErrorLaw, Pilot, _planning, error_law, estimate_chunk, pilot, well_shaped, whole_image
+from jaxir.imaging import ErrorLaw, Pilot, _choices, error_law, estimate_chunk, pilot, well_shaped, whole_image
 from jaxir.imaging._chunks import as_number, first_pass
 from jaxir.imaging._devices import over_items
 from jaxir.imaging._pilot import OF_PILOTS
@@ -131,9 +131,9 @@ def cloud(extinction):
 
 def test_particles_get_orders_where_those_leave_out_little_and_else_a_lattice(monkeypatch):
     """The image tells what the plan told."""
-    monkeypatch.setattr(_planning, "LATTICES", (jaxir.DiscreteOrdinates(7, 7, 1),))
-    monkeypatch.setattr(_planning, "SAMPLED", 2)
-    monkeypatch.setattr(_planning, "FEW_ORDERS", 10)  # fewer are one program more
+    monkeypatch.setattr(_choices, "LATTICES", (jaxir.DiscreteOrdinates(7, 7, 1),))
+    monkeypatch.setattr(_choices, "SAMPLED", 2)
+    monkeypatch.setattr(_choices, "FEW_ORDERS", 10)  # fewer are one program more
     camera = jaxir.orthographic_camera(30.0, 20.0, 0.06, (16, 16))
     thin = jaxir.plan(cloud(0.02), camera, jaxir.MWIR, 0.05)
     assert thin.method.orders == 10 and thin.method.scattering is None and thin.truncation < 1e-3

@@ -1,0 +1,213 @@
+"""Ways to find light, tried in pilots, and the cheapest of them for a tolerance."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxir._arrays import enforce, require
+from jaxir._programs import program
+from jaxir.geometry import AbstractSampler, Sobol, pixel_strata
+from jaxir.imaging._adaptive import MARGIN as AIMED
+from jaxir.imaging._adaptive import PILOT, Goal, Look, looked
+from jaxir.imaging._chunks import Pass
+from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
+from jaxir.scene import Scene
+from jaxir.transport import (
+    ClosedForm,
+    DirectSampling,
+    DiscreteOrdinates,
+    Method,
+    lattice_error,
+    solution_checks,
+    with_scattered,
+)
+
+FEW = 2  # rays per pixel of the first pilots
+MORE = (12, 128)  # at least and at most, of the second
+LEAST_GROWTH = 0.25  # share of a pilot's time that its rays take at least: clocks are coarse, other work disturbs
+FEW_ORDERS = 2  # of scattering, tried first
+SOON = 2.0  # seconds of sampling for which no lattice is tried: it takes longer to solve
+LATTICES = (DiscreteOrdinates(), DiscreteOrdinates(41, 9))
+SAMPLED = 4  # orders of scattering in which what a lattice errs is sampled
+EVEN = 32  # rays in every pixel, with more of which it is looked where they are needed
+LITTLE = 2**22  # work of an image that is done before it is known where its rays are needed
+LOOKED = 2 * PILOT  # rays per pixel that look
+MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
+
+
+class Trial(NamedTuple):
+    """One way to find light: a pass by it, what its pilot found, and what came before.
+
+    Attributes:
+        first: a pass of `FEW` rays per pixel.
+        pilot: of it.
+        truncation: share of the intensity that is left out of what particles scatter, of the worst band.
+        solving: seconds until the light in the plumes was solved for, which later images of the scene do not spend.
+    """
+
+    first: Pass
+    pilot: Pilot
+    truncation: float
+    solving: float
+
+    @property
+    def method(self) -> Method:
+        return self.first.method
+
+    def law(self) -> ErrorLaw:
+        """As if all variance were that of lights."""
+        return ErrorLaw(self.pilot.variance * FEW, np.zeros_like(self.pilot.variance))
+
+
+def trials_of(first: Pass, rtol: float, most: int, asked: bool) -> list[Trial]:
+    """Ways to find the light of a pass of `FEW` rays per pixel; one where the method is `asked` for."""
+    scene = first.lit.scene
+    if asked:
+        return [_trial(first)]
+    if scene.scatters and not scene.area_sources:
+        return _ways_to_scatter(first, rtol, most)
+    return [_trial(first._replace(method=method)) for method in _candidates(scene, first.method)]
+
+
+def _trial(first: Pass, solving: float = 0.0) -> Trial:
+    found = pilot(first, _lattice_error(first.lit, first.camera))
+    return Trial(first, found, float(np.max(found.truncation)), solving)
+
+
+_lattice_error = program(lattice_error)
+
+
+def _ways_to_scatter(first: Pass, rtol: float, most: int) -> list[Trial]:
+    """By rising orders, and if that is not soon done by finer lattices, until one leaves out no more than is asked.
+
+    Where none does, what the finest errs is sampled.
+    """
+    trials = []
+    for orders in sorted({min(FEW_ORDERS, first.method.orders), first.method.orders}):
+        trials.append(_trial(first._replace(method=dataclasses.replace(first.method, orders=orders))))
+        if trials[-1].truncation <= rtol:
+            choice = _choice(trials[-1], trials[-1].law(), 1 / FEW, rtol, most)
+            if choice.expected <= rtol and choice.seconds < SOON:
+                return trials
+            break
+    held = None
+    for ordinates in LATTICES:
+        solved = _on_lattice(first, ordinates)
+        if solved is None:  # this lattice cannot hold the light, a finer one may
+            continue
+        held = ordinates
+        trials.append(solved)
+        if solved.truncation <= rtol:
+            return trials
+    mended = None if held is None else _on_lattice(first, dataclasses.replace(held, orders=SAMPLED))
+    return trials if mended is None else [*trials, mended]
+
+
+def _on_lattice(first: Pass, ordinates: DiscreteOrdinates) -> Trial | None:
+    """What a lattice comes to; None where it cannot hold the light."""
+    method, began = dataclasses.replace(first.method, orders=0, scattering=ordinates), time.perf_counter()
+    try:
+        lit = with_scattered(first.lit, method)
+        lit = jax.block_until_ready(enforce(lit, solution_checks(lit)))
+    except ValueError:
+        return None
+    spent = time.perf_counter() - began
+    return _trial(first._replace(method=method.resolved(lit.scene), lit=lit), spent)
+
+
+class Choice(NamedTuple):
+    trial: Trial
+    law: ErrorLaw
+    samples: int
+    seconds: float
+    expected: float
+
+
+def _candidates(scene: Scene, given: Method) -> list[Method]:
+    """Ways to find direct light; where one without variance applies, it and the cheapest draw."""
+    if scene.skin is None or not scene.area_sources:  # nothing to choose
+        return [given]
+
+    def by(direct: DirectSampling | ClosedForm, sampler: AbstractSampler | None = None) -> Method:
+        chosen = given.sampler if sampler is None else sampler
+        return dataclasses.replace(given, direct=direct, sampler=chosen)
+
+    closed = by(ClosedForm())
+    try:
+        require(closed.checks_for(scene))
+        return [closed, by(DirectSampling(1, 0))]
+    except ValueError:
+        pass
+    ways = [
+        by(DirectSampling(1, 0)),
+        by(DirectSampling(1, 1)),
+        by(DirectSampling(16, 0), Sobol()),
+        by(DirectSampling(8, 8), Sobol()),
+    ]
+    return ways if scene.skin.brdf.diffuse else [*ways, by(DirectSampling(0, 1))]
+
+
+def cheapest(trials: list[Trial], rtol: float, most: int) -> Choice:
+    """First as if all variance were that of lights; then with the silhouettes' share, from a second pilot."""
+    choices = [_choice(trial, trial.law(), 1 / FEW, rtol, most) for trial in trials]
+    best = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
+    chosen = choices[best]
+    if chosen.samples == FEW:
+        return chosen
+    count = well_shaped(min(max(chosen.samples // 4, MORE[0]), MORE[1]))[-1]
+    more = pilot(trials[best].first._replace(strata=pixel_strata(count)))
+    edge = error_law((FEW, trials[best].pilot), (count, more)).edge
+    little = trials[best].pilot.seconds
+    each = (more.seconds - little) / (count - FEW)
+    alike = little - FEW * each  # what an image costs, however light is found
+    choices = []
+    for trial in trials:
+        samples, seen = (count, more) if trial is trials[best] else (FEW, trial.pilot)
+        noise = np.maximum(seen.variance * samples - edge / samples**0.5, 0)
+        growth = max(1 - alike / trial.pilot.seconds, LEAST_GROWTH) / FEW
+        choices.append(_choice(trial, ErrorLaw(noise, edge), growth, rtol, most))
+    cheapest = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
+    if cheapest != best:
+        return choices[cheapest]
+    growth = max(each / little, LEAST_GROWTH / (count - FEW))  # was timed with more rays
+    return _choice(trials[best], choices[best].law, growth, rtol, most)
+
+
+def where_it_varies(chosen: Choice, rtol: float, most: int) -> tuple[Choice, Look | None]:
+    """The choice with its rays where pixels vary, where that takes fewer of them, pilot included; what the pilot saw.
+
+    The pilot is `LOOKED` rays in every pixel: few, where `EVEN` do not suffice. Of `LITTLE` work none is saved.
+    """
+    first = chosen.trial.first
+    if chosen.samples <= EVEN or first.work(chosen.samples) <= LITTLE:
+        return chosen, None
+    began = time.perf_counter()
+    look = looked(first, Goal(rtol, None))
+    spent = time.perf_counter() - began
+    samples = LOOKED + 2 * float(look.strata(most).mean())
+    if samples >= chosen.samples or chosen.expected > rtol:
+        return chosen, None
+    each = chosen.seconds / chosen.samples
+    return chosen._replace(
+        samples=round(samples), seconds=spent + each * (samples - LOOKED), expected=AIMED * rtol
+    ), look
+
+
+def _cost(choice: Choice, rtol: float) -> tuple[bool, float, float]:
+    """Methods that meet the tolerance first, then those that leave out no more than it or the least, then by time."""
+    return choice.expected > rtol, max(choice.trial.truncation, rtol), choice.seconds
+
+
+def _choice(trial: Trial, law: ErrorLaw, growth: float, rtol: float, most: int) -> Choice:
+    """Rays per pixel and time that a method needs; `growth` of the time with each ray more, in that of a pilot."""
+    intensity = np.abs(trial.pilot.intensity)
+    samples = law.samples((MARGIN * rtol * intensity) ** 2, most)
+    error = np.sqrt(law.variance(samples))
+    expected = float(np.max(np.divide(error, intensity, out=np.full_like(error, np.inf), where=intensity > 0)))
+    seconds = trial.pilot.seconds * (1 + growth * (samples - FEW))
+    return Choice(trial, law, samples, seconds, expected if error.any() else 0.0)
