@@ -20,9 +20,11 @@ from studies.speed_accuracy import AIRCRAFT, aircraft_scene
 
 BAND = jaxir.LWIR
 TOLERANCES = (3e-2, 1e-2, 3e-3)
+OF_SUM = 0.1  # tolerance of an image's intensity over that of its pixels
 FINER = 3  # tolerance over that of the images that are compared with
 MOST = 2**14  # rays in a pixel
 PILOT = 8  # rays per pixel that decide
+KINDS = ("pixels", "intensity", "views", "usual rule")
 ASPECTS = ((0.0, 0.0), (40.0, 20.0), (90.0, 0.0), (135.0, -35.0), (180.0, 10.0))
 RASTER = {"shape": (32, 64), "max_samples": 2**13}  # of a view
 EVEN = (2, 8, 18, 32, 72, 128, 288, 512, 1152, 2048, 4050)
@@ -121,6 +123,50 @@ def compare_views(name: str, scene: jaxir.Scene, tolerance: float, keys: int) ->
     }
 
 
+def usual(scene: jaxir.Scene, eye: jaxir.Camera, rtol: float, key: int) -> float:
+    """Intensity [W sr-1] by the usual rule: two rays a pixel more until the error of their mean, as told, is met."""
+    total = square = 0.0
+    for number in range(MOST // 2):
+        own = jax.random.fold_in(jax.random.key(key), number)
+        image = jaxir.render(scene, eye, BAND, samples=2, key=own, method=jaxir.Method())
+        total += float(image.radiant_intensity()[0])
+        square += float(image.intensity_error()[0]) ** 2
+        if square**0.5 <= rtol * abs(total):
+            break
+    return total / (number + 1)
+
+
+def compare_intensity(name: str, scene: jaxir.Scene, eye: jaxir.Camera, tolerance: float, keys: int) -> Iterator[dict]:
+    """A row of what was asked for, and to the largest tolerance, for which few looks do, one of the usual rule."""
+
+    def asked(tolerance: float, key: int) -> jaxir.Image:
+        return jaxir.render(scene, eye, BAND, rtol=tolerance, key=jax.random.key(key), max_samples=MOST)
+
+    finer = [asked(tolerance / FINER, 1000 + key) for key in range(4)]
+    known = np.mean([float(image.radiant_intensity()[0]) for image in finer])
+    unknown = np.hypot.reduce([float(image.intensity_error()[0]) for image in finer]) / len(finer)
+    images = [asked(tolerance, key) for key in range(keys)]
+    told = float(np.sqrt(np.mean([float(image.intensity_error()[0]) ** 2 for image in images])))
+    met = all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
+    ways = {"intensity": np.array([float(image.radiant_intensity()[0]) for image in images])}
+    if tolerance == max(TOLERANCES) * OF_SUM:
+        ways["usual rule"] = np.array([usual(scene, eye, tolerance, key) for key in range(keys)])
+    for way, found in ways.items():
+        square = max(((found - known) ** 2).mean() - unknown**2, 0.0)
+        spread = np.hypot(found.std(ddof=1) / keys**0.5, unknown)
+        yield {
+            "scene": name,
+            "of": way,
+            "tolerance": tolerance,
+            "met": met,
+            "obtained_over_asked": square**0.5 / (tolerance * abs(known)),
+            "told_over_asked": told / (tolerance * abs(known)) if way == "intensity" else np.nan,
+            "z": (found.mean() - known) / spread if spread > 1e-6 * abs(known) else 0.0,
+            "rays": np.mean([int(image.samples) for image in images]) if way == "intensity" else np.nan,
+            "even_rays": np.nan,
+        }
+
+
 def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--keys", type=int, default=16, help="images of a scene and tolerance (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="every sixth scene")
@@ -132,16 +178,17 @@ def main(run: Run) -> str:
     rows = []
     for name, scene, eye, tolerance in tqdm(pairs, desc="scenes and tolerances"):
         rows.append(compare(name, scene, eye, tolerance, keys))
+        rows += compare_intensity(name, scene, eye, tolerance * OF_SUM, keys)
         if not name.endswith((", far", ", 512")):  # the same scene seen from elsewhere
             rows.append(compare_views(name, scene, tolerance, keys))
     run.table(rows)
     varied = [row for row in rows if row["obtained_over_asked"] > 1e-3]
     figure, axes = subplots(1, 2, figsize=(9, 3.6))
     said = []
-    for number, kind in enumerate(("pixels", "views")):
+    for number, kind in enumerate(KINDS):
         own = [row for row in varied if row["of"] == kind]
         ratio, z = np.array([r["obtained_over_asked"] for r in own]), np.array([r["z"] for r in own])
-        axes[1].hist(ratio, bins=np.linspace(0, 1.5, 16), alpha=0.6, color=f"C{number}", label=kind)
+        axes[1].hist(ratio, bins=np.linspace(0, 1.5, 16), histtype="step", lw=1.5, color=f"C{number}", label=kind)
         inside = ((ratio > 0.6) & (ratio <= 1.0)).mean()
         said.append(
             f"{kind}: obtained / asked .6 to 1 in {inside:.0%} of {len(own)} pairs ({ratio.min():.2f} to "

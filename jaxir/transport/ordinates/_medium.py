@@ -53,8 +53,9 @@ class Part(eqx.Module):
         kept: share of its scattering that is in it [node].
         moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
         field: L_lm [read, harmonic, node]; None where what the lattice errs is not sampled.
-        rough: `moments` if there were fewer harmonics [read, few, node].
-        lacking: how they change with the way in which the lattice is read, see `Lattice.plain` [read, few, node].
+        rough: `moments` if there were fewer harmonics [read, few, node]; None where what the lattice errs is sampled.
+        lacking: how they change with the way in which the lattice is read, see `Lattice.plain` [read, few, node]; None
+            as `rough`.
         glow: emission and scattering in the mean over directions, as shares of the largest of each node [read, 1, 1].
         beams: of all sources without extent.
     """
@@ -63,8 +64,8 @@ class Part(eqx.Module):
     kept: Float[Array, " node"]
     moments: Float[Array, "read harmonic node"]
     field: Float[Array, "read harmonic node"] | None
-    rough: Float[Array, "read few node"]
-    lacking: Float[Array, "read few node"]
+    rough: Float[Array, "read few node"] | None
+    lacking: Float[Array, "read few node"] | None
     glow: Float[Array, "read 1 1"]
     beams: tuple[Beam, ...]
     counts: tuple[int, int, int] = eqx.field(static=True)
@@ -148,7 +149,7 @@ class Scattered(AbstractMedium):
             left = passed * jnp.exp(-self.medium.coefficients(rays.at(middle))[0] * length[:, None])
             return left, jnp.mean(left, axis=1)
 
-        whole = jnp.ones((rays.count, self.parts[0].lacking.shape[2]), cuts.dtype)
+        whole = jnp.ones((rays.count, self.nodes), cuts.dtype)
         left = lax.scan(across, whole, (((cuts[:, 1:] + cuts[:, :-1]) / 2).T, jnp.diff(cuts).T))[1].T
         left = jnp.concatenate([jnp.ones_like(left[:, :1]), left], axis=1)
         wanted = 1 - as_float((np.arange(MORE) + 0.5) / MORE)[None] * (1 - left[:, -1:])
@@ -165,29 +166,39 @@ class Scattered(AbstractMedium):
 
         return radiance_between(cuts, rays, behind, coefficients)
 
+    @property
+    def nodes(self) -> int:
+        """How many spectral nodes there are."""
+        return self.parts[0].moments.shape[2]
+
     def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], ...]:
         """Radiance of the plumes alone [ray, node], that of fewer harmonics, and what else it may lack.
 
         That is half of what changes with the way in which the lattice is read, with its sign, and `SLOW` times what
-        changes as every piece of a ray is halved.
+        changes as every piece of a ray is halved. Where what the lattice errs is sampled, that is all of it.
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
-        dark = jnp.zeros((rays.count, self.parts[0].lacking.shape[2]), rays.origin.dtype)
+        dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
+        count = 1 if self.parts[0].rough is None else 3
 
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
-            """Of all three side by side."""
+            """Of all that are looked for side by side."""
             point, toward = rays.at(t), harmonics(-rays.direction, self.order)
             extinction, emission = self.medium.coefficients(point)
             whole, rough, coarse = emission, emission, jnp.zeros_like(emission)
             for part in self.parts:
+                if part.rough is None or part.lacking is None:
+                    whole = whole + part.source(point, rays.direction, toward, [part.moments])[0]
+                    continue
                 found, few = part.source(point, rays.direction, toward, [part.moments, part.rough])
                 whole, rough = whole + found, rough + few
                 coarse = coarse + part.read(point, toward[:, : part.lacking.shape[1]], part.lacking)[0] / 2
-            return jnp.tile(extinction, 3), jnp.concatenate([whole, rough, coarse], axis=1)
+            return jnp.tile(extinction, count), jnp.concatenate([whole, rough, coarse][:count], axis=1)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
-        finer, rough, coarse = jnp.split(radiance_between(halved, rays, jnp.tile(dark, 3), coefficients), 3, axis=1)
+        found = radiance_between(halved, rays, jnp.tile(dark, count), coefficients)
+        finer, rough, coarse = jnp.split(found, 3, axis=1) if count == 3 else (found, found, dark)
         return finer, rough, coarse, SLOW * jnp.abs(finer - self._between(cuts, rays, dark))
 
     def expected(
@@ -198,7 +209,7 @@ class Scattered(AbstractMedium):
         Its integral over all directions is the part of J that `moments` hold. Light that comes straight from sources
         without extent is not in it.
         """
-        total = jnp.zeros((point.shape[0], self.parts[0].lacking.shape[2]), point.dtype)
+        total = jnp.zeros((point.shape[0], self.nodes), point.dtype)
         toward = harmonics(-omega, self.order)
         for part in self.parts:
             assert part.field is not None
@@ -210,7 +221,7 @@ class Scattered(AbstractMedium):
 
     def expected_beams(self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
         """The part of J of rays `along` that comes straight from sources without extent [ray, node]."""
-        total = jnp.zeros((point.shape[0], self.parts[0].lacking.shape[2]), point.dtype)
+        total = jnp.zeros((point.shape[0], self.nodes), point.dtype)
         for part in self.parts:
             between, scattering = about(part.counts, part.medium.to_cube(point)), part.medium.scattering_at(point)
             total = total + part.of_beams(point, along, between, scattering)
@@ -290,9 +301,8 @@ def chosen_rays(part: Part, camera: Camera, start: Float[Array, ""]) -> tuple[Ra
 def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     """Share of the intensity of plumes in a camera's image that the lattice lacks [band].
 
-    It is what `Scattered.lacking` sees, and what changed from fewer harmonics to those there are; where what the
-    lattice errs is sampled, what the pieces of rays err alone. None where nothing was solved for. What is in front of
-    plumes is not looked for.
+    It is what `Scattered.lacking` sees, and what changed from fewer harmonics to those there are. None where nothing
+    was solved for. What is in front of plumes is not looked for.
     """
     if not isinstance(lit.medium, Scattered):
         return None
@@ -301,6 +311,4 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
         rays, weight = chosen_rays(part, camera, lit.scene.start(camera))
         found = found + jnp.stack([weight @ radiance for radiance in lit.medium.lacking(rays)])
     whole, rough, coarse, pieces = (lit.nodes.in_band(each) for each in found)
-    if lit.medium.parts[0].field is not None:
-        return pieces / jnp.where(whole > 0, whole, 1)
     return (jnp.abs(coarse) + pieces + jnp.abs(whole - rough)) / jnp.where(whole > 0, whole, 1)

@@ -148,12 +148,17 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     degree = degrees(order)
     fewer = degree <= max(order - FEWER, 0)
     every = np.ones_like(fewer)
-    kept, first = as_float(np.stack([every, fewer, every])), as_float(np.array([1, 0, 0]))
-    close = as_float(np.array([CLOSE[str(begin.dtype)], CLOSE_OF_OTHERS, CLOSE_OF_OTHERS]))
-    ways = [[as_float(np.stack([c, c, p])) for c, p in zip(x.cubics, x.plain, strict=True)] for x in lattices]
+    errs = ordinates.orders > 0  # and that is sampled, in the medium as it is
+    count = 1 if errs else 3
+    kept, first = as_float(np.stack([every, fewer, every][:count])), as_float(np.array([1, 0, 0][:count]))
+    close = as_float(np.array([CLOSE[str(begin.dtype)], CLOSE_OF_OTHERS, CLOSE_OF_OTHERS][:count]))
+    ways = [[as_float(np.stack([c, c, p][:count])) for c, p in zip(x.cubics, x.plain, strict=True)] for x in lattices]
 
     def of_nodes(own: tuple[Array, list[Array], list[Array]]) -> tuple[Array, Array]:
-        """Solutions of some nodes, with fewer harmonics, and read as by `Lattice.plain`; and what they lack."""
+        """Solutions of some nodes, with fewer harmonics, and read as by `Lattice.plain`; and what they lack.
+
+        Where what the lattice errs is sampled, the first alone.
+        """
         begin, rest, passed = own
 
         def one(near: Array, own: tuple[Array, Array, list, Array]) -> tuple[Array, tuple[Array, Array]]:
@@ -168,19 +173,20 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     solutions, rests = lax.map(of_nodes, asked)
     solutions = jnp.moveaxis(solutions, 0, -2)
     solutions = solutions.reshape(*solutions.shape[:-2], -1)[..., :nodes]
-    each, rough, other = (split(x * scale - straight) for x in solutions)  # beams are scattered with the whole lobe
-    errs = ordinates.orders > 0  # and that is sampled, in the medium as it is
+    each, *others = (split(x * scale - straight) for x in solutions)  # beams are scattered with the whole lobe
+    rough, other = others or (each, each)
+
+    def of_few(own: _Moments, table: Array) -> Array:
+        return (table * own.rest[None])[:, fewer]
+
     held = tuple(
         Part(
             medium=whole if errs else part,
             kept=jnp.ones_like(own.forward) if errs else 1 - own.forward,
             moments=refined(lattice, table * (own.all if errs else own.rest)[None]),
             field=refined(lattice, table) if errs else None,
-            rough=lax.stop_gradient(refined(lattice, (few * own.rest[None])[:, fewer])),
-            lacking=lax.stop_gradient(
-                refined(lattice, (table * own.rest[None])[:, fewer])
-                - refined(lattice, (plain * own.rest[None])[:, fewer], lattice.plain)
-            ),
+            rough=None if errs else lax.stop_gradient(refined(lattice, of_few(own, few))),
+            lacking=None if errs else _reading(lattice, of_few(own, table), of_few(own, plain)),
             glow=lax.stop_gradient(_glow(part, lattice, table)),
             beams=shining,
             counts=lattice.read,
@@ -192,6 +198,11 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
     backward = jnp.max(jnp.stack([own.beyond for own in moments]))
     return Scattered(given if errs else medium, held, order, *lax.stop_gradient((jnp.max(rests[:, 0]), step, backward)))
+
+
+def _reading(lattice: Lattice, table: Float[Array, "point few node"], plain: Float[Array, "point few node"]) -> Array:
+    """See `Part.lacking`: of moments as they were solved for by either way."""
+    return lax.stop_gradient(refined(lattice, table) - refined(lattice, plain, lattice.plain))
 
 
 def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
