@@ -14,6 +14,7 @@ Densities are those of the trace; scattering, T, phase, brdf and emission carry 
 from __future__ import annotations
 
 import dataclasses
+import threading
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
@@ -99,15 +100,17 @@ def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
     if is_traced(asked):
         return _solved(*asked)
     key = jax.tree.structure(asked), fingerprint(asked)
-    found = _held.get(key)
-    if found is None:
-        found = _solved(*asked)
-        _held.clear()
-        _held[key] = found
+    with _SOLVING:
+        found = _held.get(key)
+        if found is None:
+            found = _solved(*asked)
+            _held.clear()
+            _held[key] = found
     return found
 
 
 _held: dict[tuple, AbstractMedium] = {}
+_SOLVING = threading.Lock()  # threads that ask for one solution wait for it
 
 
 @program
