@@ -85,6 +85,10 @@ class _Program:
         self._held[signature] = None  # what was kept lacks something
         return self._jitted(*args, **kwargs)
 
+    def __get__(self, instance: Any, owner: Any = None) -> Callable[..., Any]:
+        """A method of an object, as functions are."""
+        return self if instance is None else functools.partial(self, instance)
+
     def _found(self, args: tuple, kwargs: dict) -> tuple[_Ready | None, list[Any], Any]:
         """The executable for these arguments, None where they are for `_jitted`; their arrays; where it is held."""
         if not keeps() or any(getattr(jax.config, name, False) for name in _PLAINLY):

@@ -121,6 +121,16 @@ def _on_lattice(first: Pass, ordinates: DiscreteOrdinates) -> Trial | None:
 
 
 class Choice(NamedTuple):
+    """What one way needs for a tolerance.
+
+    Attributes:
+        trial: the way.
+        law: how its variance falls.
+        samples: rays per pixel, pilots among them where they tell where the others go.
+        seconds: of them.
+        expected: standard error over intensity, of the worst band.
+    """
+
     trial: Trial
     law: ErrorLaw
     samples: int
@@ -171,9 +181,9 @@ def cheapest(trials: list[Trial], rtol: float, most: int) -> Choice:
         noise = np.maximum(seen.variance * samples - edge / samples**0.5, 0)
         growth = max(1 - alike / trial.pilot.seconds, LEAST_GROWTH) / FEW
         choices.append(_choice(trial, ErrorLaw(noise, edge), growth, rtol, most))
-    cheapest = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
-    if cheapest != best:
-        return choices[cheapest]
+    least = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
+    if least != best:
+        return choices[least]
     growth = max(each / little, LEAST_GROWTH / (count - FEW))  # was timed with more rays
     return _choice(trials[best], choices[best].law, growth, rtol, most)
 
@@ -192,10 +202,8 @@ def where_it_varies(chosen: Choice, rtol: float, most: int) -> tuple[Choice, Loo
     samples = LOOKED + 2 * float(look.strata(most).mean())
     if samples >= chosen.samples or chosen.expected > rtol:
         return chosen, None
-    each = chosen.seconds / chosen.samples
-    return chosen._replace(
-        samples=round(samples), seconds=spent + each * (samples - LOOKED), expected=AIMED * rtol
-    ), look
+    seconds = spent + chosen.seconds / chosen.samples * (samples - LOOKED)
+    return chosen._replace(samples=round(samples), seconds=seconds, expected=AIMED * rtol), look
 
 
 def _cost(choice: Choice, rtol: float) -> tuple[bool, float, float]:
