@@ -54,14 +54,14 @@ def each_of(work: Callable[[A], B], items: Iterable[A], ready: bool = False) -> 
     if count == 1:
         yield from map(work, left)
         return
-    with _threads(count) as pool:
+    pool = _threads(count)
+    try:
         waiting = collections.deque(pool.submit(work, item) for item in itertools.islice(left, 2 * count))
-        try:
-            while waiting:
-                yield waiting.popleft().result()
-                waiting.extend(pool.submit(work, item) for item in itertools.islice(left, 1))
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+        while waiting:
+            yield waiting.popleft().result()
+            waiting.extend(pool.submit(work, item) for item in itertools.islice(left, 1))
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 @cache

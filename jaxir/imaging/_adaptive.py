@@ -47,6 +47,7 @@ from jaxir.imaging._devices import over_items, progress
 from jaxir.imaging._image import Image, joined
 
 PILOT = 4  # passes of the pilot, of two rays per pixel each
+LOOKED = 2 * PILOT  # its rays per pixel
 MARGIN = 0.9  # of the error asked for that is aimed at: what the pilot tells is itself uncertain
 ROUNDS = 3  # at most; each decides for the next
 OF_SPOTS = 2**32 - 2  # beside the numbers of passes, for the random numbers of pixels with strata of their own
@@ -209,23 +210,22 @@ def _of_unseen_edges(
         mean: what the pilot saw.
         varied: variance of the mean of two rays, by what it saw.
     """
-    rays, (rows, columns) = 2 * PILOT, mean.shape[:2]
-    pads = ((1, 1), (1, 1), (0, 0))
-    others, theirs = np.pad(mean, pads, mode="edge"), np.pad(varied, pads, mode="edge")
     unseen = np.zeros_like(mean)
-    for i, j in np.ndindex(3, 3):
-        there = slice(i, i + rows), slice(j, j + columns)
-        step = (mean - others[there]) ** 2 - 2 * rays * (varied + theirs[there])
-        unseen = np.maximum(unseen, step)
-    return unseen * (rays + 1) / ((rays + 2) * (rays + 3)) / 4  # of two rays, in one of both
+    for other, theirs in zip(_nine(mean), _nine(varied), strict=True):
+        unseen = np.maximum(unseen, (mean - other) ** 2 - 2 * LOOKED * (varied + theirs))
+    return unseen * (LOOKED + 1) / ((LOOKED + 2) * (LOOKED + 3)) / 4  # of two rays, in one of both
 
 
 def _around(constant: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
     """Half each pixel's own, half the mean of the nine around it."""
-    padded = np.pad(constant, 1, mode="edge")
-    rows, columns = constant.shape
-    nine = sum(padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3))
-    return constant / 2 + nine / 18
+    return constant / 2 + sum(_nine(constant)) / 18
+
+
+def _nine(values: Float[np.ndarray, "row column *more"]) -> Iterator[Float[np.ndarray, "row column *more"]]:
+    """What the pixel above to the left of each has, and so on to that below to the right; its own beyond the image."""
+    rows, columns = values.shape[:2]
+    padded = np.pad(values, ((1, 1), (1, 1), *((0, 0),) * (values.ndim - 2)), mode="edge")
+    return (padded[i : i + rows, j : j + columns] for i, j in np.ndindex(3, 3))
 
 
 def placement(constant: Float[np.ndarray, "row column"], power: float, most: int) -> Int[np.ndarray, "row column"]:

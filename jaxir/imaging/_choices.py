@@ -12,8 +12,8 @@ import numpy as np
 from jaxir._arrays import enforce, require
 from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Sobol, pixel_strata
+from jaxir.imaging._adaptive import LOOKED, Goal, Look, looked
 from jaxir.imaging._adaptive import MARGIN as AIMED
-from jaxir.imaging._adaptive import PILOT, Goal, Look, looked
 from jaxir.imaging._chunks import Pass
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.scene import Scene
@@ -36,7 +36,6 @@ LATTICES = (DiscreteOrdinates(), DiscreteOrdinates(41, 9))
 SAMPLED = 4  # orders of scattering in which what a lattice errs is sampled
 EVEN = 32  # rays in every pixel, with more of which it is looked where they are needed
 LITTLE = 2**22  # work of an image that is done before it is known where its rays are needed
-LOOKED = 2 * PILOT  # rays per pixel that look
 MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
 
 

@@ -113,7 +113,8 @@ def render(
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
     if pixel_rtol is not None or look is not None:
-        look = looked(first, goal, mesh) if look is None or first.components is not None else look
+        if look is None or (look.met and first.components is not None):  # the answer, of which no parts were asked
+            look = looked(first, goal, mesh)
         return ended(*adapted(first, goal, look, max_samples, mesh))
     image = even_image(first, 0, samples, mesh)
     if rtol is None:

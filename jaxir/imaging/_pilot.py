@@ -70,7 +70,8 @@ def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
 def _timed(of: Callable[[Array], Estimate], chunks: Int[np.ndarray, " chunk"]) -> tuple[list[Estimate], float]:
     """Chunks, and the seconds that they took together."""
     began = time.perf_counter()
-    estimates = list(each_of(lambda chunk: jax.block_until_ready(of(placed(chunk))), chunks, len(chunks) > 1))
+    every = each_of(lambda chunk: jax.block_until_ready(of(placed(chunk))), chunks, ready=len(chunks) > 1)
+    estimates = list(every)
     return estimates, time.perf_counter() - began
 
 

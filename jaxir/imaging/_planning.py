@@ -11,8 +11,8 @@ from jaxtyping import Array, Key
 
 from jaxir._arrays import float_dtype, is_traced, key_or_default
 from jaxir.geometry import Camera
-from jaxir.imaging._adaptive import Look
-from jaxir.imaging._choices import FEW, LOOKED, Choice, Trial, cheapest, trials_of, where_it_varies
+from jaxir.imaging._adaptive import LOOKED, Look
+from jaxir.imaging._choices import FEW, Choice, Trial, cheapest, trials_of, where_it_varies
 from jaxir.imaging._chunks import Pass, first_pass
 from jaxir.imaging._repeated import require_rtol
 from jaxir.optics.spectrum import Band, Nodes
