@@ -27,15 +27,20 @@ monitoring.register_event_duration_secs_listener(
 )
 
 
-def scene(x):
+def scene(x, sources=(SUN,)):
     """A sunlit plate behind hot gas; x: emissivity, temperature of the gas."""
     skin = jaxir.Skin(PLATE, 300.0, jaxir.Lambert(x[0]))
-    return jaxir.Scene(skin, jaxir.GridPlume(GRID, x[1], jaxir.GrayGas(0.5)), SUN)
+    return jaxir.Scene(skin, jaxir.GridPlume(GRID, x[1], jaxir.GrayGas(0.5)), sources)
+
+
+def unlit(x):
+    """Without the sun: how often a program is compiled does not depend on what it does."""
+    return scene(x, ())
 
 
 QUANTITIES = {
-    "render": lambda x: jaxir.render(scene(x), CAMERA, MWIR, samples=2).radiant_intensity()[0],
-    "signature": lambda x: jaxir.signature(scene(x), [(0, 10)], MWIR, samples=2, shape=(16, 16)).intensity[0, 0],
+    "render": lambda x: jaxir.render(unlit(x), CAMERA, MWIR, samples=2).radiant_intensity()[0],
+    "signature": lambda x: jaxir.signature(unlit(x), [(0, 10)], MWIR, samples=2, shape=(16, 16)).intensity[0, 0],
     "faces": lambda x: jaxir.unoccluded_intensity(
         jaxir.Scene(jaxir.Skin(PLATE, x[1] / 3, jaxir.Lambert(x[0]))), 0, 10, MWIR
     )[0],

@@ -51,11 +51,6 @@ class _State(eqx.Module):
     done: Bool[Array, ""]
     result: Any
 
-    @property
-    def jacobian(self) -> Float[Array, "row p"]:
-        """At the point it holds."""
-        return (self.left * self.singular[None, :]) @ self.right * _divisor(self.size)[None, :]
-
 
 def _divisor(size: Float[Array, " p"]) -> Float[Array, " p"]:
     """Norms of columns, 1 for those without."""

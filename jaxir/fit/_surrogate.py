@@ -154,12 +154,11 @@ def _approach(problem: Problem, fewer: Problem, near: Reached) -> tuple[_Asked, 
     Args:
         problem: what to solve.
         fewer: the same with the rays that steer.
-        near: where the walk ended, seen by those, with the Jacobian of those that lead.
+        near: where the walk ended, seen by those.
 
     Returns:
         Where it ended, and steps taken.
     """
-    assert near.jacobian is not None  # of our own solver
     asked, steps, z, seen = None, 0, near.z, near.seen
     step, distance = newton_step(seen, near.jacobian)
     while steps < STEPS and distance > APPROACHED:
@@ -168,7 +167,7 @@ def _approach(problem: Problem, fewer: Problem, near: Reached) -> tuple[_Asked, 
             break
         asked, z, seen, steps = ahead, ahead.z, ahead.seen, steps + 1
         step, distance = newton_step(seen, ahead.jacobian)
-    return asked or _ask(problem, fewer, z), steps
+    return asked or _Asked(z, look(problem, z), seen, near.jacobian), steps
 
 
 def _settle(problem: Problem, fewer: Problem, asked: _Asked, near: Reached) -> Solution:

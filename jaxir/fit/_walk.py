@@ -31,14 +31,12 @@ class Walked(NamedTuple):
         end: z [start, p].
         steps: [start].
         result: codes [start].
-        jacobian: of the residuals walked, there [start, row, p]; None where another solver walked.
         size: norms of the columns of the first Jacobian, or those given [start, p].
     """
 
     end: Array
     steps: Array
     result: optx.RESULTS
-    jacobian: Array | None
     size: Array
 
 
@@ -86,8 +84,8 @@ class Reached(NamedTuple):
     Attributes:
         z: the point, or the start where the walk failed and gained nothing [p].
         seen: residuals there.
+        jacobian: their slopes [row, p].
         begin: z where this walk began [p].
-        jacobian: of the residuals walked, where it ended [row, p]; None where another solver walked.
         size: norms of the columns of the first Jacobian of the first walk [p].
         losses: where each walk ended [start].
         steps: of this walk.
@@ -96,8 +94,8 @@ class Reached(NamedTuple):
 
     z: Array
     seen: Seen
+    jacobian: Array
     begin: Array
-    jacobian: Array | None
     size: Array
     losses: np.ndarray
     steps: int
@@ -114,21 +112,21 @@ def reach(problem: Problem, starts: Array, size: Array | None, solver: Any, max_
         Where the best walk ended, and what tells the solution from there.
     """
     near = best(problem, starts, walk(problem, starts, size, solver, max_steps, jnp.array([True, False])))
-    return near, lambda drifted: stay(problem, near.z, near.steps, near.result)
+    return near, lambda drifted: solution(near.z, (near.seen, near.jacobian), near.steps, near.result)
 
 
 def best(problem: Problem, starts: Array, walked: Walked) -> Reached:
-    """The walk that ended with the least loss by the rays of a problem."""
-    ends = [look(problem, z) for z in walked.end]
-    losses = np.array([float(end.loss) for end in ends])
+    """The walk that ended with the least loss by the rays of a problem, with what these say there."""
+    ends = [linearised(problem, z) for z in walked.end]
+    losses = np.array([float(seen.loss) for seen, _ in ends])
     least = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
-    begin, size = starts[least], walked.size[0]
-    z, seen, steps, result = walked.end[least], ends[least], int(walked.steps[least]), pick(walked.result, least)
+    begin, steps, result = starts[least], int(walked.steps[least]), pick(walked.result, least)
+    z, there = walked.end[least], ends[least]
     if not bool(result == optx.RESULTS.successful):  # the best point is kept
-        before = look(problem, begin)
-        z, seen = (z, seen) if seen.loss < before.loss else (begin, before)
-    jacobian = None if walked.jacobian is None else walked.jacobian[least]
-    return Reached(z, seen, begin, jacobian, size, losses, steps, result)
+        before = linearised(problem, begin)
+        if not there[0].loss < before[0].loss:
+            z, there = begin, before
+    return Reached(z, *there, begin, walked.size[0], losses, steps, result)
 
 
 @program
@@ -165,8 +163,7 @@ def walk(
         )
         end = begin + found.value / unit
         end = jnp.where(jnp.isfinite(end).all(), end, begin)
-        jacobian, sizes = (found.state.jacobian, found.state.size) if solver is None else (None, unit)
-        return end, Walked(end, found.stats["num_steps"], found.result, jacobian, sizes)
+        return end, Walked(end, found.stats["num_steps"], found.result, found.state.size if solver is None else unit)
 
     def one(start: Array) -> Walked:
         walks = lax.scan(one_walk, start, flat)[1]
@@ -205,8 +202,12 @@ def _seen(problem: Problem, z: Array) -> Seen:
 
 def stay(problem: Problem, z: Array, steps: int = 0, result: Any = optx.RESULTS.successful) -> Solution:
     """A point as the solution, with the slopes of all rays there."""
-    seen, jacobian = linearised(problem, z)
-    return Solution(z, seen, jacobian, newton_step(seen, jacobian)[1], steps, result)
+    return solution(z, linearised(problem, z), steps, result)
+
+
+def solution(z: Array, there: tuple[Seen, Array], steps: int, result: Any) -> Solution:
+    """A point as the solution, with what `linearised` says of it."""
+    return Solution(z, *there, newton_step(*there)[1], steps, result)
 
 
 def newton_step(seen: Seen, jacobian: Array) -> tuple[np.ndarray, float]:

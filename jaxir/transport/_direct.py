@@ -13,12 +13,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxir._math import dot
-from jaxir.geometry import (
-    Hit,
-    Rays,
-    no_hit,
-)
-from jaxir.geometry.search import Mesh, any_hit, closest_hit, face_normal
+from jaxir.geometry import Hit, Rays, no_hit
+from jaxir.geometry.search import Mesh, face_met, face_normal, hit_on
 from jaxir.scene import Scene
 from jaxir.transport._lights import Drawn, Met, SampledLight
 from jaxir.transport._method import Method, concavity
@@ -141,15 +137,27 @@ def sample_direct(
     drawn = [drawn_from(place, light) for place, light in enumerate(lights)] if count else []
     good = [upward(d.omega, d.pdf) for d in drawn]
 
-    # What they meet ---------------------------------------------------------------------------------------------------
+    # What they meet, all in one search --------------------------------------------------------------------------------
     hollow = _hollow(scene, at)
-    met = _first_met(scene, at, hollow, lights, drawn, good)
     limit = jnp.zeros((onward, rays), at.point.dtype)
     for light in lights if own else ():
         limit = limit.at[:own].max(_limit(light, at, omega[:own], sent[:own]))
     if go_on is not None:
         limit = limit.at[0].set(jnp.where(go_on & sent[0], jnp.inf, limit[0]))
-    ahead = _closest(scene, at, hollow, omega, limit)
+    order = sorted(range(len(drawn)), key=lambda place: lights[place].needs_face)  # those that ask for less come first
+    reach = [jnp.where(good[i], jnp.inf if lights[i].needs_face else drawn[i].distance, 0) for i in order]
+    hidden, hit = _first_met(
+        scene,
+        at,
+        hollow,
+        jnp.concatenate([*(drawn[i].omega for i in order), omega]),
+        jnp.concatenate([*(part.astype(limit.dtype) for part in reach), limit]),
+        count * sum(not lights[i].needs_face for i in order),
+    )
+    shadowed = Met(jnp.full(hidden.shape, -1, jnp.int32), jnp.where(hidden, 0, jnp.inf).astype(omega.dtype))
+    every = jax.tree.map(lambda *each: jnp.concatenate(each), shadowed, Met(hit.face, hit.t))
+    met = {i: jax.tree.map(lambda leaf, k=k: leaf[k * count : (k + 1) * count], every) for k, i in enumerate(order)}
+    ahead = jax.tree.map(lambda leaf: leaf[leaf.shape[0] - onward :], hit)
 
     # Weights (9) ------------------------------------------------------------------------------------------------------
     found = []
@@ -195,54 +203,28 @@ def _limit(light: SampledLight, at: Points, omega: Array, sent: Array) -> Array:
 
 
 def _first_met(
-    scene: Scene, at: Points, hollow: Array, lights: tuple[SampledLight, ...], drawn: list[Drawn], good: list[Array]
-) -> list[Met]:
-    """What drawn directions meet: the first face, or where that is not needed whether a face comes before the light."""
-    found: list[Met | None] = [None] * len(drawn)
-    for needs_face in (False, True):
-        places = [i for i, light in enumerate(lights[: len(drawn)]) if light.needs_face == needs_face]
-        if not places:
-            continue
-        omega = jnp.concatenate([drawn[i].omega for i in places])
-        if needs_face:
-            reach = jnp.concatenate([jnp.where(good[i], jnp.inf, 0).astype(omega.dtype) for i in places])
-            hit = _closest(scene, at, hollow, omega, reach)
-            met = Met(hit.face, hit.t)
-        else:
-            reach = jnp.concatenate([jnp.where(good[i], drawn[i].distance, 0) for i in places])
-            hidden = _any(scene, at, hollow, omega, reach)
-            met = Met(jnp.full(hidden.shape, -1, jnp.int32), jnp.where(hidden, 0, jnp.inf).astype(omega.dtype))
-        size = drawn[places[0]].pdf.shape[0]
-        for k, i in enumerate(places):
-            own = slice(k * size, (k + 1) * size)
-            found[i] = Met(met.face[own], met.t[own])
-    return [met for met in found if met is not None]
+    scene: Scene, at: Points, hollow: Array, omega: Array, reach: Array, some: int
+) -> tuple[Bool[Array, "some ray"], Hit]:
+    """What directions [sample, ray] meet within a reach: of the first `some` samples whether anything, else the hit."""
+    origin = jnp.broadcast_to(at.point[None], omega.shape).reshape(-1, 3)
+    rays = Rays(origin, omega.reshape(-1, 3))
+    begin = some * reach.shape[1]
+    late = jax.tree.map(lambda leaf: leaf[begin:], rays)
 
+    def nothing() -> tuple[Array, Hit]:
+        return jnp.full(rays.count, -1, jnp.int32), no_hit(late.origin)
 
-def _flat(at: Points, omega: Array) -> tuple[Rays, Array]:
-    """Rays [sample * ray] from all points, and the faces that they leave."""
-    origin = jnp.broadcast_to(at.point[None], omega.shape)
-    face = jnp.broadcast_to(at.face[None], omega.shape[:-1])
-    return Rays(origin.reshape(-1, 3), omega.reshape(-1, 3)), face.reshape(-1)
+    def search(mesh: Mesh) -> tuple[Array, Hit]:
+        leaving = jnp.broadcast_to(at.face[None], reach.shape).reshape(-1)
+        face = face_met(mesh, rays, jnp.arange(rays.count) < begin, reach.reshape(-1), leaving)
+        return face, hit_on(mesh, late, face[begin:]) if late.count else no_hit(late.origin)
 
-
-def _closest(scene: Scene, at: Points, hollow: Array, omega: Array, reach: Array) -> Hit:
-    """Where directions meet the first face within a reach [sample, ray, ...]."""
-    rays, leaving = _flat(at, omega)
-    hit = no_hit(rays.origin)
-    if scene.skin is not None and omega.shape[0] > 0:
-        search = partial(closest_hit, scene.skin.mesh, rays, t_max=reach.reshape(-1), leaving=leaving)
-        hit = lax.cond(hollow, search, lambda: no_hit(rays.origin))
-    return jax.tree.map(lambda leaf: leaf.reshape(reach.shape + leaf.shape[1:]), hit)
-
-
-def _any(scene: Scene, at: Points, hollow: Array, omega: Array, reach: Array) -> Array:
-    """Whether directions [sample, ray] meet any face within a reach."""
-    if scene.skin is None:
-        return jnp.zeros(reach.shape, bool)
-    rays, leaving = _flat(at, omega)
-    search = partial(any_hit, scene.skin.mesh, rays, t_max=reach.reshape(-1), leaving=leaving)
-    return lax.cond(hollow, search, lambda: jnp.zeros(leaving.shape, bool)).reshape(reach.shape)
+    found = nothing()
+    if scene.skin is not None and rays.count:
+        found = lax.cond(hollow, partial(search, scene.skin.mesh), nothing)
+    face, hit = found
+    shaped = jax.tree.map(lambda leaf: leaf.reshape(-1, reach.shape[1], *leaf.shape[1:]), hit)
+    return (face[:begin] >= 0).reshape(some, -1), shaped
 
 
 def _hollow(scene: Scene, at: Points) -> Bool[Array, ""]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -152,20 +153,34 @@ def _vertex(scene: Scene, method: Method, rays: Rays, hit: Hit, together: bool) 
     counts = None
     if method.skin_light is not None:  # whence paths go on, it was looked for
         counts = (hit.face >= 0) & together
-    seen = [_sees(scene, source, hit, normal, together) for source in scene.delta_sources]
-    visible = jnp.stack(seen) if seen else jnp.zeros((0, *hit.face.shape), bool)
+    omega, distance = _toward(scene.delta_sources, hit.point)
+    facing = (hit.face >= 0)[None] & (distance > 0) & (dot(normal[None], omega) > 0)
+    if together:
+        mesh, sources = scene.skin.mesh, zip(scene.delta_sources, facing, strict=True)
+        hidden = [source.hidden(mesh, hit.point, hit.face, facing_it) for source, facing_it in sources]
+        visible = facing & ~jnp.stack(hidden) if hidden else facing
+    else:
+        visible = _sees(scene, hit.point, omega, jnp.where(facing, distance, 0), hit.face)
     return Vertex(hit.face, hit.point, normal, back, visible, counts)
 
 
-def _sees(scene: Scene, source: AbstractDeltaSource, hit: Hit, normal: Array, together: bool) -> Array:
-    """Whether each hit faces a source without extent and sees it; `together` where the hits are neighbours."""
-    assert scene.skin is not None
-    omega_i, distance = jax.vmap(source.toward)(hit.point)
-    facing = (hit.face >= 0) & (distance > 0) & (dot(normal, omega_i) > 0)
-    if together:
-        return facing & ~source.hidden(scene.skin.mesh, hit.point, hit.face, facing)
-    reach = jnp.where(facing, distance, 0)
-    return facing & ~any_hit(scene.skin.mesh, Rays(hit.point, omega_i), t_max=reach, leaving=hit.face)
+def _toward(sources: Sequence[AbstractDeltaSource], point: Array) -> tuple[Array, Array]:
+    """Directions to sources without extent [source, ray, 3], and distances [source, ray]."""
+    found = [jax.vmap(source.toward)(point) for source in sources]
+    if not found:
+        return jnp.zeros((0, *point.shape), point.dtype), jnp.zeros((0, point.shape[0]), point.dtype)
+    omega, distance = (jnp.stack(parts) for parts in zip(*found, strict=True))
+    return omega, distance
+
+
+def _sees(scene: Scene, point: Array, omega: Array, reach: Array, leaving: Array | None) -> Array:
+    """Whether nothing hides what lies at a reach > 0 [source, ray] in directions from points; all in one search."""
+    seen = reach > 0
+    if scene.skin is None or seen.shape[0] == 0:
+        return seen
+    rays = Rays(jnp.broadcast_to(point[None], omega.shape).reshape(-1, 3), omega.reshape(-1, 3))
+    face = None if leaving is None else jnp.broadcast_to(leaving[None], reach.shape).reshape(-1)
+    return seen & ~any_hit(scene.skin.mesh, rays, t_max=reach.reshape(-1), leaving=face).reshape(reach.shape)
 
 
 def _look_from_skin(
@@ -200,18 +215,8 @@ def _look_from_particles(
 
 def _look_for_deltas(scene: Scene, method: Method, point: Array, active: Array) -> tuple[Array, Array, Array]:
     """Directions and distances of sources without extent that are not summed, and whether points see them."""
-    found = []
-    for source in method.sampled_beams(scene):
-        omega, distance = jax.vmap(source.toward)(point)
-        seen = active & (distance > 0)
-        if scene.skin is not None:
-            seen = seen & ~any_hit(scene.skin.mesh, Rays(point, omega), t_max=jnp.where(seen, distance, 0))
-        found.append((omega, distance, seen))
-    if not found:
-        none = jnp.zeros((0, *active.shape), point.dtype)
-        return jnp.zeros((0, *point.shape), point.dtype), none, none > 0
-    omega, distance, seen = (jnp.stack(parts) for parts in zip(*found, strict=True))
-    return omega, distance, seen
+    omega, distance = _toward(method.sampled_beams(scene), point)
+    return omega, distance, _sees(scene, point, omega, jnp.where(active[None], distance, 0), None)
 
 
 def _either(scattered: Array, by_particle: Onward | None, by_skin: Onward, passing: Array) -> Onward:

@@ -4,7 +4,9 @@ from jaxir.geometry.search._mesh import HANDFUL as HANDFUL
 from jaxir.geometry.search._mesh import Mesh as Mesh
 from jaxir.geometry.search._mesh import any_hit as any_hit
 from jaxir.geometry.search._mesh import closest_hit as closest_hit
+from jaxir.geometry.search._mesh import face_met as face_met
 from jaxir.geometry.search._mesh import face_normal as face_normal
+from jaxir.geometry.search._mesh import hit_on as hit_on
 from jaxir.geometry.search._outline import MARGIN as MARGIN
 from jaxir.geometry.search._outline import clear_of as clear_of
 from jaxir.geometry.search._outline import front_of as front_of

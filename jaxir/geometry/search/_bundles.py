@@ -34,7 +34,6 @@ class View(NamedTuple):
         start: frame coordinate along w at which rays start [m].
         screen: [ray, 2] [m].
         limit: projected depth before which hits lie [ray] [m]; -inf for an inactive ray. None for no limit.
-        skip: a face that is not met, -1 for none [ray]; None when no ray skips any.
     """
 
     target: Float[Array, " 3"]
@@ -43,11 +42,10 @@ class View(NamedTuple):
     start: Float[Array, ""]
     screen: Float[Array, "ray 2"]
     limit: Float[Array, " ray"] | None
-    skip: Int[Array, " ray"] | None
 
 
-def search_bundle(tree: Tree, view: View, before: Bool[Array, ""], side: int, any_hit: bool) -> Int[Array, " ray"]:
-    """The face that each ray meets first, or with `any_hit` some face that it meets; -1 for none.
+def search_bundle(tree: Tree, view: View, before: Bool[Array, ""], side: int) -> Int[Array, " ray"]:
+    """The face that each ray meets first; -1 for none.
 
     Tiles are searched where the whole tree lies before the plane on which rays start, as told by `before`; there
     `side` is +1 to meet only faces seen from their front, -1 only those seen from their back, 0 for both. Otherwise
@@ -57,7 +55,7 @@ def search_bundle(tree: Tree, view: View, before: Bool[Array, ""], side: int, an
 
     @sequential_vmap
     def search(tree: Tree, view: View, before: Array) -> Array:
-        return _search(tree, view, before, side, any_hit)
+        return _search(tree, view, before, side)
 
     return search(tree, view, before)
 
@@ -68,7 +66,7 @@ def project(depth: Float[Array, "..."], inverse_range: Float[Array, ""] | None) 
     return depth if inverse_range is None else depth / (1 + depth * inverse_range)
 
 
-def _search(tree: Tree, view: View, before: Array, side: int, any_hit: bool) -> Int[Array, " ray"]:
+def _search(tree: Tree, view: View, before: Array, side: int) -> Int[Array, " ray"]:
     count = view.screen.shape[0]
     size = min(TILE, -(-count // 16) * 16)
     pad = -count % size
@@ -76,17 +74,16 @@ def _search(tree: Tree, view: View, before: Array, side: int, any_hit: bool) -> 
     if view.limit is not None:
         limit = jnp.pad(jnp.maximum(view.limit, -BEYOND), (0, pad), constant_values=-BEYOND).reshape(-1, size)
     screen = jnp.pad(view.screen, ((0, pad), (0, 0)), mode="edge").reshape(-1, size, 2)
-    skip = None if view.skip is None else jnp.pad(view.skip, (0, pad)).reshape(-1, size)
     scene = see(tree, view.target, view.frame, view.inverse_range)
 
-    def one(tile: tuple[Array, Array | None, Array | None]) -> Array:
-        screen, limit, skip = tile
+    def one(tile: tuple[Array, Array | None]) -> Array:
+        screen, limit = tile
         limit = jnp.full(size, BEYOND, screen.dtype) if limit is None else limit
-        return search_tile(scene, Tile(screen[:, 0], screen[:, 1], limit, skip), side, any_hit)
+        return search_tile(scene, Tile(screen[:, 0], screen[:, 1], limit, None), side, any_hit=False)
 
     def by_tiles() -> Array:
         return on_platform(
-            (screen, limit, skip), cpu=lambda tiles: lax.map(one, tiles), default=lambda tiles: jax.vmap(one)(tiles)
+            (screen, limit), cpu=lambda tiles: lax.map(one, tiles), default=lambda tiles: jax.vmap(one)(tiles)
         ).reshape(-1)[:count]
 
     def undecided() -> Array:
@@ -94,13 +91,12 @@ def _search(tree: Tree, view: View, before: Array, side: int, any_hit: bool) -> 
         return varying(jnp.where(active, jnp.int32(DOUBT), jnp.int32(NONE)), view.screen)
 
     face = lax.cond(before, by_tiles, undecided)
-    rays = (view.screen, view.limit, view.skip)
     sign = jnp.where(before, -side, 0)
-    return settled(tree, face, rays, lambda ray: _ask(view, sign, *ray), any_hit)
+    return settled(tree, face, (view.screen, view.limit), lambda ray: _ask(view, sign, *ray))
 
 
-def _ask(view: View, side: Array, screen: Array, limit: Array | None, skip: Array | None) -> Query:
-    """One ray of a view in double precision, from its rows of `screen`, `limit` and `skip`; `side` as in `Query`."""
+def _ask(view: View, side: Array, screen: Array, limit: Array | None) -> Query:
+    """One ray of a view in double precision, from its rows of `screen` and `limit`; `side` as in `Query`."""
     target, x, y = (value.astype(jnp.float64) for value in (view.target, screen[0], screen[1]))
     inverse = jnp.zeros_like(x) if view.inverse_range is None else view.inverse_range.astype(x.dtype)
     u, v, w = dual(view.frame)
@@ -112,8 +108,8 @@ def _ask(view: View, side: Array, screen: Array, limit: Array | None, skip: Arra
         depth = limit.astype(x.dtype)
         left = 1 - depth * inverse  # the map's inverse; at or beyond infinity there is no limit
         far = jnp.where((depth < BEYOND) & (left > 0), depth / jnp.where(left > 0, left, 1) * length, BEYOND)
-    skip = jnp.full((), -1, jnp.int32) if skip is None else skip
-    return Query(target + lateral, direction / length, near, far, skip, side.astype(x.dtype))
+    none = jnp.full((), -1, jnp.int32)
+    return Query(target + lateral, direction / length, near, far, none, side.astype(x.dtype), jnp.asarray(False))
 
 
 class SeenTree(NamedTuple):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -156,7 +155,7 @@ def closest_hit(
 
     Differentiable in vertices and rays through t, barycentrics, point, normal; visibility has no derivative.
     """
-    return _hit(mesh, rays, _face(mesh, rays, t_min, t_max, leaving, any_hit=False))
+    return hit_on(mesh, rays, _face(mesh, rays, t_min, t_max, leaving, some=False))
 
 
 def any_hit(
@@ -167,20 +166,34 @@ def any_hit(
     leaving: Int[Array, " ray"] | None = None,
 ) -> Bool[Array, " ray"]:
     """Whether each ray meets any face with t_min < t < t_max; arguments as in `closest_hit`. Not differentiable."""
-    return _face(mesh, rays, t_min, t_max, leaving, any_hit=True) >= 0
+    return _face(mesh, rays, t_min, t_max, leaving, some=True) >= 0
+
+
+def face_met(
+    mesh: Mesh, rays: Rays, some: Bool[Array, " ray"], t_max: Float[Array, " ray"], leaving: Int[Array, " ray"]
+) -> Int[Array, " ray"]:
+    """The face of `closest_hit`, -1 for none, or any face before t_max for those rays of which `some` will do.
+
+    One search for rays that ask one and rays that ask the other. Not differentiable; see `hit_on`.
+    """
+    return _face(mesh, rays, 0.0, t_max, leaving, some)
 
 
 # Inner functions are compiled as units: without jit around it, every call would trace its loops anew.
 
 
 @jax.jit
-def _hit(mesh: Mesh, rays: Rays | Bundle, face: Array) -> Hit:
+def hit_on(mesh: Mesh, rays: Rays | Bundle, face: Int[Array, " ray"]) -> Hit:
+    """Where rays meet the planes of faces; face -1 meets nothing. Differentiable as `closest_hit`."""
     single = rays.rays() if isinstance(rays, Bundle) else rays
     return Hit(face, *reattach(mesh.vertices, mesh.faces, face, single.origin, single.direction))
 
 
-def _face(mesh: Mesh, rays: Rays | Bundle, t_min: Any, t_max: Any, leaving: Array | None, any_hit: bool) -> Array:
-    """The face that each ray meets, -1 for none; nothing in here is differentiated."""
+def _face(mesh: Mesh, rays: Rays | Bundle, t_min: Any, t_max: Any, leaving: Array | None, some: bool | Array) -> Array:
+    """The face that each ray meets, -1 for none; nothing in here is differentiated.
+
+    `some` tells whether any face will do, of all rays or of each; rays of a bundle meet the first in any case.
+    """
     dtype = mesh.vertices.dtype
     # limits that are known to be none cost nothing
     near = None if isinstance(t_min, (int, float)) and t_min == 0 else t_min
@@ -188,30 +201,32 @@ def _face(mesh: Mesh, rays: Rays | Bundle, t_min: Any, t_max: Any, leaving: Arra
     near, far = (None if t is None else jnp.broadcast_to(jnp.asarray(t, dtype), (rays.count,)) for t in (near, far))
     mesh, rays, near, far = lax.stop_gradient((mesh, rays, near, far))
     if isinstance(rays, Rays) or near is not None or leaving is not None:
-        return _search_single(mesh, rays, near, far, leaving, any_hit=any_hit)
-    return _search_bundle(mesh, rays, far, any_hit=any_hit)
+        return _search_single(mesh, rays, near, far, leaving, jnp.broadcast_to(some, (rays.count,)))
+    return _search_bundle(mesh, rays, far)
 
 
-@partial(jax.jit, static_argnames="any_hit")
+@jax.jit
 def _search_single(
-    mesh: Mesh, rays: Rays | Bundle, near: Array | None, far: Array | None, leaving: Array | None, any_hit: bool
+    mesh: Mesh, rays: Rays | Bundle, near: Array | None, far: Array | None, leaving: Array | None, some: Array
 ) -> Array:
     tree = mesh.search_tree()
     near, far = (
         jnp.full((rays.count,), none, mesh.vertices.dtype) if limit is None else limit
         for limit, none in ((near, 0.0), (far, jnp.inf))
     )
-    return search_single(tree, _query(mesh, tree, rays, near, far, leaving), any_hit)
+    return search_single(tree, _query(mesh, tree, rays, near, far, leaving, some))
 
 
-@partial(jax.jit, static_argnames="any_hit")
-def _search_bundle(mesh: Mesh, bundle: Bundle, far: Array | None, any_hit: bool) -> Array:
+@jax.jit
+def _search_bundle(mesh: Mesh, bundle: Bundle, far: Array | None) -> Array:
     # seen from beyond a closed mesh, the first face met looks at the eye
     side = 1 if mesh.closed else 0
-    return search_bundle(mesh.search_tree(), bundle_view(bundle, far), _before(mesh, bundle), side, any_hit)
+    return search_bundle(mesh.search_tree(), bundle_view(bundle, far), _before(mesh, bundle), side)
 
 
-def _query(mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array, leaving: Array | None) -> Query:
+def _query(
+    mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array, leaving: Array | None, some: Array
+) -> Query:
     single = rays.rays() if isinstance(rays, Bundle) else rays
     origin, direction = single.origin, single.direction
     side, skip = jnp.zeros_like(near), jnp.full(near.shape, -1, jnp.int32)
@@ -224,7 +239,7 @@ def _query(mesh: Mesh, tree: Tree, rays: Rays | Bundle, near: Array, far: Array,
             side = jnp.where(started, -along, 0)
         else:
             skip = leaving
-    return Query(origin, direction, near, far, skip, side)
+    return Query(origin, direction, near, far, skip, side, some)
 
 
 def face_normal(mesh: Mesh, face: Int[Array, " ray"]) -> Float[Array, "ray 3"]:
@@ -245,7 +260,7 @@ def bundle_view(bundle: Bundle, far: Float[Array, " ray"] | None) -> View:
         x, y = bundle.screen[:, 0], bundle.screen[:, 1]
         slant = 1 / jnp.sqrt(1 + bundle.inverse_range**2 * (x * x + y * y))
         limit = jnp.where(far > 0, project(far * slant - bundle.start, bundle.inverse_range), -jnp.inf)
-    return View(bundle.target, bundle.frame, bundle.inverse_range, bundle.start, bundle.screen, limit, None)
+    return View(bundle.target, bundle.frame, bundle.inverse_range, bundle.start, bundle.screen, limit)
 
 
 def _before(mesh: Mesh, bundle: Bundle) -> Bool[Array, ""]:

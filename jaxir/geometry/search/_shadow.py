@@ -130,7 +130,8 @@ def _occluded(
             direction = direction / far
         skip = jnp.full((), -1, jnp.int32) if mesh.closed else face
         origin = position + tree.centre.astype(double)
-        return Query(origin, direction, jnp.zeros((), double), far, skip, jnp.full((), side, double))
+        near, side_ = jnp.zeros((), double), jnp.full((), side, double)
+        return Query(origin, direction, near, far, skip, side_, jnp.asarray(True))
 
     count = len(point)
     size = min(TILE, -(-count // 16) * 16)
@@ -141,7 +142,7 @@ def _occluded(
     found = on_platform(
         *tiles, cpu=partial(_where_active, tile), default=lambda *tiles: jax.vmap(tile)(*tiles)
     ).reshape(-1)[:count]
-    return settled(tree, found, (point, face), ask, any_hit=True) >= 0
+    return settled(tree, found, (point, face), ask) >= 0
 
 
 def _where_active(tile: Callable[..., Array], point: Array, face: Array, active: Array) -> Array:

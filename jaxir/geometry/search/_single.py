@@ -31,6 +31,7 @@ class Query(NamedTuple):
         far: and before this one [ray] [m]; a ray with far <= near is inactive.
         skip: a face that is not met, -1 for none [ray].
         side: +1 meets only faces whose normal looks along the ray, -1 only faces that look against it, 0 both [ray].
+        some: whether any face that is met will do, in place of the first [ray].
     """
 
     origin: Float[Array, "*ray 3"]
@@ -39,10 +40,11 @@ class Query(NamedTuple):
     far: Float[Array, "*ray"]
     skip: Int[Array, "*ray"]
     side: Float[Array, "*ray"]
+    some: Bool[Array, "*ray"]
 
 
-def search_single(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]:
-    """The face that each ray meets first, or with `any_hit` some face that it meets; -1 for none.
+def search_single(tree: Tree, query: Query) -> Int[Array, " ray"]:
+    """The face that each ray meets first, or some face that it meets where that will do; -1 for none.
 
     Under `jax.vmap` over rays the batch becomes more rays; over trees it becomes a loop, because searches in
     lockstep wait for the slowest.
@@ -50,7 +52,7 @@ def search_single(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]
 
     @custom_vmap
     def search(tree: Tree, query: Query) -> Array:
-        return _search(tree, query, any_hit)
+        return _search(tree, query)
 
     @search.def_vmap
     def rule(size: int, batched: Any, tree: Any, query: Any) -> tuple[Array, bool]:
@@ -69,18 +71,16 @@ def search_single(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]
     return search(tree, query)
 
 
-def _search(tree: Tree, query: Query, any_hit: bool) -> Int[Array, " ray"]:
+def _search(tree: Tree, query: Query) -> Int[Array, " ray"]:
     def one(ray: Query) -> Array:
         with jax.enable_x64(True):
-            return _search_ray(tree, _approach(tree, ray, tree.leaves.dtype), any_hit, settle=False)
+            return _search_ray(tree, _approach(tree, ray, tree.leaves.dtype), settle=False)
 
     face = on_platform(query, cpu=lambda query: lax.map(one, query), default=lambda query: jax.vmap(one)(query))
-    return settled(tree, face, query, lambda ray: ray, any_hit)
+    return settled(tree, face, query, lambda ray: ray)
 
 
-def settled(
-    tree: Tree, face: Int[Array, " ray"], rays: Any, ask: Callable[[Any], Query], any_hit: bool
-) -> Int[Array, " ray"]:
+def settled(tree: Tree, face: Int[Array, " ray"], rays: Any, ask: Callable[[Any], Query]) -> Int[Array, " ray"]:
     """Faces that rays meet, -1 for none, with rays in `DOUBT` searched again in double precision.
 
     Args:
@@ -88,12 +88,11 @@ def settled(
         face: what a search found [ray].
         rays: arrays with one row a ray.
         ask: the query of one ray from its rows of `rays`, traced with 64-bit types enabled.
-        any_hit: as in `search_single`.
     """
 
     def again(rays: Any) -> Array:
         with jax.enable_x64(True):
-            return _search_ray(tree, _approach(tree, ask(rays), jnp.dtype("float64")), any_hit, settle=True)
+            return _search_ray(tree, _approach(tree, ask(rays), jnp.dtype("float64")), settle=True)
 
     return jnp.maximum(where_some(again, face == DOUBT, face, rays), -1)
 
@@ -111,7 +110,8 @@ def _approach(tree: Tree, ray: Query, dtype: Any) -> Query:
     skipped = jnp.where(along > 3 * radius, along - 2 * radius, 0)
     origin = origin + skipped * direction
     near, far = (jnp.clip(t.astype(double) - skipped, -_FAR, _FAR).astype(dtype) for t in (ray.near, ray.far))
-    return Query(origin.astype(dtype), direction.astype(dtype), near, far, ray.skip, ray.side.astype(dtype))
+    turned = direction.astype(dtype)
+    return ray._replace(origin=origin.astype(dtype), direction=turned, near=near, far=far, side=ray.side.astype(dtype))
 
 
 def _radius(tree: Tree) -> Float[Array, ""]:
@@ -119,7 +119,7 @@ def _radius(tree: Tree) -> Float[Array, ""]:
     return jnp.sqrt(jnp.sum(tree.extent * tree.extent))
 
 
-def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Array, ""]:
+def _search_ray(tree: Tree, ray: Query, settle: bool) -> Int[Array, ""]:
     """The face that one ray meets, `NONE` or, unless told to settle, `DOUBT`.
 
     The fields of `ray` have no ray axis; its dtype is that of the arithmetic.
@@ -150,9 +150,7 @@ def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Arra
             mask = carry[0]
             child = item(tree.children[level], place, lowest_bit(mask))
             best, found, doubt = visit(level + 1, child, carry[1:])
-            mask = mask & (mask - 1)
-            if any_hit:
-                mask = jnp.where(found >= 0, 0, mask)
+            mask = jnp.where(ray.some & (found >= 0), 0, mask & (mask - 1))
             return mask, best, found, doubt
 
         mask = meets_boxes(level, place, state[0])
@@ -178,8 +176,7 @@ def _search_ray(tree: Tree, ray: Query, any_hit: bool, settle: bool) -> Int[Arra
     _, found, doubt = visit(0, jnp.zeros((), jnp.int32), state)
     if settle:
         return found
-    decided = (found >= 0) if any_hit else (doubt == 0)
-    return jnp.where(decided | (doubt == 0), found, jnp.int32(DOUBT))
+    return jnp.where(ray.some & (found >= 0) | (doubt == 0), found, jnp.int32(DOUBT))
 
 
 def _leaf_hits(
