@@ -8,7 +8,8 @@ its two axes. The pixels' areas are their weights, so that whatever the brightne
 
 from __future__ import annotations
 
-from typing import Any
+from functools import reduce
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -42,6 +43,38 @@ class Brightness(eqx.Module):
     intensity: Float[Array, " capsule"]
 
 
+class _Outlines(NamedTuple):
+    """Parts as a camera sees them: all as simplices of three corners, a capsule's third is its first again.
+
+    Attributes:
+        x, y: of the corners [corner][part] [m].
+        corners: how many of them count [part].
+        radius: about them [part] [m].
+        weight: intensity [part].
+    """
+
+    x: list[Array]
+    y: list[Array]
+    corners: Array
+    radius: Array
+    weight: Array
+
+    def moved(self, turn: Float[Array, "2 2"], shift: Float[Array, " 2"]) -> _Outlines:
+        """Turned and shifted in the image plane."""
+        (a, b), (c, d) = turn
+        each = list(zip(self.x, self.y, strict=True))
+        return self._replace(
+            x=[a * x + b * y + shift[0] for x, y in each], y=[c * x + d * y + shift[1] for x, y in each]
+        )
+
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper edges along both axes [axis, part]."""
+        low, high = (
+            jnp.stack([reduce(least, axis) for axis in (self.x, self.y)]) for least in (jnp.minimum, jnp.maximum)
+        )
+        return low - self.radius[None], high + self.radius[None]
+
+
 def graded_camera(
     azimuth: Any,
     elevation: Any,
@@ -52,72 +85,84 @@ def graded_camera(
 ) -> Camera:
     """A camera as `fitted_camera`, rolled and graded for the brightness of what it sees; without derivatives."""
     extent, brightness = lax.stop_gradient((extent, brightness))
-    frame = view_frame(azimuth, elevation)
-    roll = _roll(camera_around(frame, extent, shape, distance), brightness)
-    u, v, w = frame
-    rolled = jnp.stack([jnp.cos(roll) * u + jnp.sin(roll) * v, jnp.cos(roll) * v - jnp.sin(roll) * u, w])
-    camera = camera_around(rolled, extent, shape, distance)
-    low, high, weight = _seen(camera, brightness)
+    u, v, w = view_frame(azimuth, elevation)
+    upright = camera_around(jnp.stack([u, v, w]), extent, shape, distance)
+    parts = _seen(upright, brightness)
+    roll = _roll(parts)
+    turn = jnp.stack([jnp.cos(roll), jnp.sin(roll), -jnp.sin(roll), jnp.cos(roll)]).reshape(2, 2)
+    (a, b), (c, d) = turn
+    camera = camera_around(jnp.stack([a * u + b * v, c * u + d * v, w]), extent, shape, distance)
+    # parts are seen as before, turned; an eye at infinity may look at another point
+    low, high = parts.moved(turn, camera.frame[:2] @ (upright.target - camera.target)).box()
     rows, columns = camera.shape
-    size = camera.pixel * as_float(np.array([columns, rows]))
-    # Rows are counted downwards.
-    across = _edges(low[:, 0] / size[0] + 0.5, high[:, 0] / size[0] + 0.5, weight, columns)
-    down = _edges(0.5 - high[:, 1] / size[1], 0.5 - low[:, 1] / size[1], weight, rows)
+    size = (camera.pixel * as_float(np.array([columns, rows])))[:, None]
+    low, high = low / size + 0.5, high / size + 0.5
+    # rows are counted downwards
+    across, down = _edges(
+        jnp.stack([low[0], 1 - high[1]]), jnp.stack([high[0], 1 - low[1]]), parts.weight, (columns, rows)
+    )
     return eqx.tree_at(lambda c: c.grading, camera, Grading(across, down), is_leaf=lambda x: x is None)
 
 
-def _roll(camera: Camera, brightness: Brightness) -> Float[Array, ""]:
+def _seen(camera: Camera, brightness: Brightness) -> _Outlines:
+    """Every part as a camera sees it."""
+    triangles, capsules = brightness.radiance.shape[0], brightness.intensity.shape[0]
+    corners = jnp.concatenate([brightness.corners, brightness.ends[:, np.array([0, 1, 0])]])
+    flat = camera.project(jnp.swapaxes(corners, 0, 1).reshape(-1, 3))
+    x, y = (list(flat[:, axis].reshape(3, -1)) for axis in (0, 1))
+    area = jnp.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 2
+    return _Outlines(
+        x,
+        y,
+        as_float(np.repeat([3.0, 2.0], [triangles, capsules])),
+        jnp.concatenate([jnp.zeros(triangles, area.dtype), brightness.radius]),
+        jnp.concatenate([brightness.radiance * area[:triangles], brightness.intensity]),
+    )
+
+
+def _roll(parts: _Outlines) -> Float[Array, ""]:
     """Angle from the image's u to the axis along which brightness is spread most; 0 where no axis stands out.
 
     A simplex of k corners about its centre c has the second moment (sum of corner corner' + k^2 c c') / (k (k + 1)).
     """
-    weight = _seen(camera, brightness)[2]
-    total = jnp.sum(weight)
-    share = weight / jnp.where(total > 0, total, 1)
-    middles, seconds = [], []
-    for corners in (camera.project(brightness.corners), camera.project(brightness.ends)):
-        count, middle = corners.shape[1], corners.mean(axis=1)
-        square = jnp.einsum("nki,nkj->nij", corners, corners)
-        around = count**2 * middle[:, :, None] * middle[:, None, :]
-        seconds.append((square + around) / (count * (count + 1)))
-        middles.append(middle)
-    mean = share @ jnp.concatenate(middles)
-    spread = jnp.einsum("n,nij->ij", share, jnp.concatenate(seconds)) - mean[:, None] * mean[None, :]
-    difference, twice = spread[0, 0] - spread[1, 1], 2 * spread[0, 1]
-    stands_out = jnp.hypot(difference, twice) > STANDS_OUT * (spread[0, 0] + spread[1, 1])
-    return jnp.where(stands_out, jnp.arctan2(twice, difference) / 2, 0)
+    total = jnp.sum(parts.weight)
+    share = parts.weight / jnp.where(total > 0, total, 1)
+    count, third = parts.corners, parts.corners - 2
+    sums = [one[0] + one[1] + third * one[2] for one in (parts.x, parts.y)]
+
+    def spread(i: int, j: int) -> Array:
+        a, b = ((parts.x, parts.y)[axis] for axis in (i, j))
+        square = a[0] * b[0] + a[1] * b[1] + third * a[2] * b[2]
+        mean = jnp.sum(share * sums[i] / count) * jnp.sum(share * sums[j] / count)
+        return jnp.sum(share * (square + sums[i] * sums[j]) / (count * (count + 1))) - mean
+
+    along, across, twice = spread(0, 0), spread(1, 1), 2 * spread(0, 1)
+    stands_out = jnp.hypot(along - across, twice) > STANDS_OUT * (along + across)
+    return jnp.where(stands_out, jnp.arctan2(twice, along - across) / 2, 0)
 
 
-def _seen(camera: Camera, brightness: Brightness) -> tuple[Array, Array, Array]:
-    """Lower and upper corner of the outline of every part [part, 2], and its intensity [part]."""
-    corners, ends = camera.project(brightness.corners), camera.project(brightness.ends)
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = jnp.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
-    low = jnp.concatenate([corners.min(axis=1), ends.min(axis=1) - brightness.radius[:, None]])
-    high = jnp.concatenate([corners.max(axis=1), ends.max(axis=1) + brightness.radius[:, None]])
-    return low, high, jnp.concatenate([brightness.radiance * area, brightness.intensity])
-
-
-def _edges(low: Array, high: Array, weight: Array, count: int) -> Float[Array, " edge"]:
-    """Edges of `count` pixels in [0, 1] at equal shares of the density of parts that are even over [low, high].
+def _edges(
+    low: Float[Array, "2 part"], high: Float[Array, "2 part"], weight: Float[Array, " part"], counts: tuple[int, int]
+) -> list[Float[Array, " edge"]]:
+    """Edges of pixels along two axes, in [0, 1] at equal shares of the density of parts that are even over [low, high].
 
     A part's density steps up at `low` and down at `high`; each step is shared by the two bin edges beside it.
     """
     width = jnp.maximum(high - low, 1 / BINS)
-    step = weight / width
-
-    def stepped(at: Array, step: Array) -> Array:
-        place = jnp.clip(at, 0, 1) * BINS
-        edge = jnp.minimum(jnp.floor(place), BINS - 1)
-        bin, part = edge.astype(jnp.int32), place - edge
-        steps = jnp.zeros(BINS + 1, place.dtype)
-        return steps.at[bin].add(step * (1 - part)).at[bin + 1].add(step * part)
-
-    middle = (low + high) / 2
-    steps = stepped(middle - width / 2, step) - stepped(middle + width / 2, step)
-    density = jnp.maximum(jnp.cumsum(steps)[:-1], 0)
-    total = jnp.sum(density)
+    middle, step = (low + high) / 2, weight[None] / width
+    place = jnp.clip(jnp.concatenate([middle - width / 2, middle + width / 2], axis=1), 0, 1) * BINS
+    edge = jnp.minimum(jnp.floor(place), BINS - 1)
+    step, part = jnp.concatenate([step, -step], axis=1), place - edge
+    bin = edge.astype(jnp.int32) + np.array([[0], [BINS + 1]], np.int32)
+    steps = jnp.zeros(2 * (BINS + 1), place.dtype)
+    both = jnp.stack([bin, bin + 1]).reshape(-1), jnp.stack([step * (1 - part), step * part]).reshape(-1)
+    steps = steps.at[both[0]].add(both[1]).reshape(2, -1)
+    density = jnp.maximum(jnp.cumsum(steps, axis=1)[:, :-1], 0)
+    total = jnp.sum(density, axis=1, keepdims=True)
     share = EVEN / BINS + (1 - EVEN) * jnp.where(total > 0, density / jnp.where(total > 0, total, 1), 1 / BINS)
-    upto = jnp.concatenate([jnp.zeros(1, share.dtype), jnp.cumsum(share)])
-    edges = jnp.interp(as_float(np.linspace(0, 1, count + 1)), upto / upto[-1], as_float(np.linspace(0, 1, BINS + 1)))
-    return edges.at[0].set(0).at[-1].set(1)
+    upto = jnp.pad(jnp.cumsum(share, axis=1), ((0, 0), (1, 0)))
+    bins, found = as_float(np.linspace(0, 1, BINS + 1)), []
+    for own, count in zip(upto, counts, strict=True):
+        edges = jnp.interp(as_float(np.linspace(0, 1, count + 1)), own / own[-1], bins)
+        found.append(edges.at[0].set(0).at[-1].set(1))
+    return found

@@ -206,9 +206,10 @@ def _first_met(
     scene: Scene, at: Points, hollow: Array, omega: Array, reach: Array, some: int
 ) -> tuple[Bool[Array, "some ray"], Hit]:
     """What directions [sample, ray] meet within a reach: of the first `some` samples whether anything, else the hit."""
-    origin = jnp.broadcast_to(at.point[None], omega.shape).reshape(-1, 3)
-    rays = Rays(origin, omega.reshape(-1, 3))
-    begin = some * reach.shape[1]
+    samples, count = reach.shape
+    origin = jnp.broadcast_to(at.point[None], omega.shape).reshape(samples * count, 3)
+    rays = Rays(origin, omega.reshape(samples * count, 3))
+    begin = some * count
     late = jax.tree.map(lambda leaf: leaf[begin:], rays)
 
     def nothing() -> tuple[Array, Hit]:
@@ -223,8 +224,8 @@ def _first_met(
     if scene.skin is not None and rays.count:
         found = lax.cond(hollow, partial(search, scene.skin.mesh), nothing)
     face, hit = found
-    shaped = jax.tree.map(lambda leaf: leaf.reshape(-1, reach.shape[1], *leaf.shape[1:]), hit)
-    return (face[:begin] >= 0).reshape(some, -1), shaped
+    shaped = jax.tree.map(lambda leaf: leaf.reshape(samples - some, count, *leaf.shape[1:]), hit)
+    return (face[:begin] >= 0).reshape(some, count), shaped
 
 
 def _hollow(scene: Scene, at: Points) -> Bool[Array, ""]:

@@ -63,16 +63,15 @@ def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch)
     np.testing.assert_allclose(split.component_intensity().sum(axis=0), split.radiant_intensity(), rtol=1e-3)
 
 
-def test_edges_that_lie_along_pixels_are_not_missed(monkeypatch):
+def test_edges_that_lie_along_pixels_are_not_missed():
     """A box whose edge takes a fifth of every pixel of a column: eight rays of a pilot miss it in some, two in most."""
-    monkeypatch.setattr(_choices, "LITTLE", 0)
     scene = jaxir.Scene(jaxir.Skin(box_mesh(), 320.0, jaxir.Lambert(0.7)))
-    camera = jaxir.orthographic_camera(0.0, 0.0, 1 / 14.4, (40, 40))  # square to the eye, 14.4 pixels wide
+    camera = jaxir.orthographic_camera(0.0, 0.0, 1 / 14.4, (24, 24))  # square to the eye, 14.4 pixels wide
     exact = float(jaxir.unoccluded_intensity(scene, 0.0, 0.0, jaxir.MWIR)[0])
-    images = [jaxir.render(scene, camera, jaxir.MWIR, rtol=1e-3, key=jax.random.key(key)) for key in range(150)]
+    images = [jaxir.render(scene, camera, jaxir.MWIR, pixel_rtol=3e-3, key=jax.random.key(key)) for key in range(60)]
     apart = np.array([float(image.radiant_intensity()[0]) / exact - 1 for image in images])
     told = np.sqrt(np.mean([(float(image.intensity_error()[0]) / exact) ** 2 for image in images]))
-    assert np.sqrt(np.mean(apart**2)) < min(1.25 * told, 1.1e-3)
+    assert np.sqrt(np.mean(apart**2)) < 1.3 * told  # twice as much where edges that were not seen count for nothing
     assert abs(apart.mean()) < 4 * apart.std() / len(images) ** 0.5
 
 
