@@ -76,7 +76,10 @@ class _Program:
         self._held: dict[Any, _Ready | None] = {}  # None where it has to be `_jitted`
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        ready, arrays, signature = self._found(args, kwargs)
+        return self._run(*self._found(args, kwargs), args, kwargs)
+
+    def _run(self, ready: _Ready | None, arrays: list[Any], signature: Any, args: tuple, kwargs: dict) -> Any:
+        """By the executable, if there is one that holds all."""
         try:
             return self._jitted(*args, **kwargs) if ready is None else ready(arrays)
         except jax.errors.JaxRuntimeError:
@@ -111,9 +114,10 @@ class _Program:
             if known:
                 ready, arrays = known
                 return self._jitted(inputs, item) if ready is None else ready([*arrays, *own])
-            result = self(inputs, item)  # which may find that what was kept lacks something
-            ready, arrays, _ = self._found((inputs, item), {})
-            known.extend((ready, arrays[: len(arrays) - len(own)]))
+            ready, arrays, signature = self._found((inputs, item), {})
+            result = self._run(ready, arrays, signature, (inputs, item), {})
+            still = None if signature is None else self._held[signature]  # what was kept may have lacked something
+            known.extend((still, arrays[: len(arrays) - len(own)]))
             return result
 
         return of

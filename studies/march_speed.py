@@ -27,8 +27,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxir
-from jaxir.geometry import fitted_camera, pixel_strata, view_frame
-from jaxir.imaging import Pass, entering, estimate_chunk, whole_image
+from jaxir.geometry import fitted_camera, view_frame
+from jaxir.imaging import Pass, division, entering, estimate_chunk, whole_image
 from jaxir.medium import march
 from studies._study import Run, study
 
@@ -255,7 +255,8 @@ def measure_views() -> list[dict]:
         return image(eqx.tree_at(lambda c: c.pixel, camera, jnp.full(2, camera.pixel.max())))
 
     def image(camera):
-        taken = Pass(lit, camera, jax.random.key(0), jnp.uint32(0), pixel_strata(2), jaxir.Method().resolved(scene))
+        method = jaxir.Method().resolved(scene)
+        taken = Pass(lit, camera, jax.random.key(0), jnp.uint32(0), division(2, known=True), method)
         parts = [estimate_chunk(taken, chunk) for chunk in taken.chunks()]
         return whole_image(taken, jax.tree.map(lambda *each: jnp.stack(each), *parts)).radiant_intensity()[0]
 

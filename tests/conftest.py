@@ -8,7 +8,7 @@ import importlib
 import os
 from pathlib import Path
 
-# Most of the time of the tests is that of the compiler: its second level makes programs a tenth faster than its third.
+# Most of the time of the tests is that of the compiler, whose second level is a tenth faster than its third.
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=2".strip()
 os.environ.setdefault("JAXIR_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "programs"))
 
@@ -34,6 +34,14 @@ importlib.import_module("jaxir._programs").keeps = lambda: False
 def pytest_configure(config):
     """Physics is tested at odd values on purpose; `test_plausible.py` looks at what is warned of."""
     config.addinivalue_line("filterwarnings", "ignore::jaxir.PlausibilityWarning")
+    config.addinivalue_line(
+        "markers", "optimised: of programs that run long, or whose last bits count, compiled in full"
+    )
+
+
+def pytest_runtest_setup(item):
+    """Programs of most tests run for moments: to compile them without optimisation takes three quarters of the time."""
+    jax.config.update("jax_disable_most_optimizations", item.get_closest_marker("optimised") is None)
 
 
 @pytest.fixture(params=["float32", "float64"])

@@ -10,7 +10,6 @@ import math
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import as_float
@@ -28,13 +27,13 @@ def pixel_strata(samples: int) -> tuple[int, int]:
 
 
 def stratum_points(
-    key: Key[Array, ""], index: Int[Array, " stratum"], tiles: int, strata: tuple[int, int]
+    key: Key[Array, ""], index: Int[Array, " stratum"], tiles: int, strata: tuple[int, int] | Int[Array, "2"]
 ) -> Float[Array, "stratum 2 tile pixel 2"]:
     """The two random points of some strata, for all pixels of some tiles, as places in (0, 1) inside the pixels.
 
     One random word serves both coordinates: points lie in the middles of 65536 x 65536 cells of the stratum.
     """
-    cells = as_float(np.array(strata))
+    cells = as_float(strata)
     corner = jnp.stack([index % strata[0], index // strata[0]], axis=-1).astype(cells.dtype)
     shape = (*index.shape, 2, tiles, TILE * TILE)
     word = jax.random.bits(key, (math.prod(shape),), jnp.uint32).reshape(shape)  # more axes compile for a second

@@ -2,6 +2,7 @@
 
 from jaxir.imaging._budget import ErrorBudget as ErrorBudget
 from jaxir.imaging._chunks import Pass as Pass
+from jaxir.imaging._chunks import division as division
 from jaxir.imaging._chunks import estimate_chunk as estimate_chunk
 from jaxir.imaging._chunks import first_pass as first_pass
 from jaxir.imaging._chunks import whole_image as whole_image

@@ -30,7 +30,7 @@ from jaxtyping import Array, Float, Int
 from jaxir._arrays import placed
 from jaxir._concurrent import each_of
 from jaxir._programs import of_items, program
-from jaxir.geometry import TILE, Camera, pixel_strata
+from jaxir.geometry import TILE, Camera
 from jaxir.imaging._chunks import (
     Estimate,
     Pass,
@@ -130,7 +130,7 @@ class Look(NamedTuple):
         return placement(self.constant, self.power, most)
 
 
-def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = None) -> Image:
+def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = None, alone: bool = False) -> Image:
     """An image of as many rays in every pixel.
 
     Args:
@@ -138,9 +138,10 @@ def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = N
         number: of the pass, which decides its random numbers.
         samples: rays per pixel.
         mesh: devices that share it, of `shared_by`.
+        alone: whether no other image is made of its chunks' program: if it is small, one program makes all of it.
     """
-    taken = taken._replace(number=as_number(number), strata=pixel_strata(samples))
-    return over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh, taken.quick)
+    taken = taken._replace(number=as_number(number)).of(samples)
+    return over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh, alone and taken.quick)
 
 
 def looked(first: Pass, goal: Goal, mesh: Mesh | None = None) -> Look:
@@ -180,8 +181,8 @@ def adapted(first: Pass, goal: Goal, look: Look, most: int, mesh: Mesh | None = 
 
 def _image_with_strata(first: Pass, number: int, strata: Strata, mesh: Mesh | None) -> Image:
     """An image of two rays in every pixel, with strata of their own in some."""
-    taken = first._replace(number=as_number(number), strata=(1, 1))
-    pixels = over_items(estimate_chunk, every_pixel, taken, taken.chunks(), "render", mesh, taken.quick)
+    taken = first._replace(number=as_number(number)).of(2)
+    pixels = over_items(estimate_chunk, every_pixel, taken, taken.chunks(), "render", mesh)
     mean = 2 + 2 * (strata.count - 1).sum() / math.prod(first.camera.shape)
     return image_of_pixels(taken, with_strata(taken, pixels, strata), placed(np.int32(round(mean))))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxir._arrays import enforce, require
 from jaxir._programs import program
-from jaxir.geometry import AbstractSampler, Sobol, pixel_strata
+from jaxir.geometry import AbstractSampler, Sobol
 from jaxir.imaging._adaptive import LOOKED, Goal, Look, looked
 from jaxir.imaging._adaptive import MARGIN as AIMED
 from jaxir.imaging._chunks import Pass
@@ -169,7 +169,7 @@ def cheapest(trials: list[Trial], rtol: float, most: int) -> Choice:
     if chosen.samples == FEW:
         return chosen
     count = well_shaped(min(max(chosen.samples // 4, MORE[0]), MORE[1]))[-1]
-    more = pilot(trials[best].first._replace(strata=pixel_strata(count)))
+    more = pilot(trials[best].first.of(count))
     edge = error_law((FEW, trials[best].pilot), (count, more)).edge
     little = trials[best].pilot.seconds
     each = (more.seconds - little) / (count - FEW)

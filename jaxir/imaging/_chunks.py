@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
-from jaxir._arrays import Check, enforce, on_host, placed
+from jaxir._arrays import Check, as_float, enforce, is_traced, on_host, placed
 from jaxir._math import in_kernels
 from jaxir._programs import program
 from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays
@@ -41,7 +41,7 @@ PARTS = 8  # chunks of a small image, for so many devices to share
 QUICK = 2**20  # work of an image that one program takes whole: a call for each chunk takes .5 ms each
 FEWER = 4  # times fewer tiles at once where paths may be long
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
-STRATA_AT_ONCE = 8  # of a pixel, whose rays are traced side by side: bundles then cover fewer pixels and faces
+TOGETHER = (1, 2, 4, 6, 8)  # strata whose rays may be traced side by side: bundles then cover fewer pixels and faces
 
 
 class Estimate(NamedTuple):
@@ -60,6 +60,35 @@ class Estimate(NamedTuple):
     parts_variance: Array | None
 
 
+class Division(NamedTuple):
+    """How every pixel is cut.
+
+    Attributes:
+        cells: columns and rows of strata: an array where all is known, so that more of them compile nothing anew, and
+            numbers below transformations of JAX, which cannot turn round a loop whose end is data.
+        together: strata whose rays are traced side by side, where these are few enough.
+    """
+
+    cells: tuple[int, int] | Int[Array, "2"]
+    together: int
+
+    @property
+    def count(self) -> Any:
+        """Strata of a pixel."""
+        return self.cells[0] * self.cells[1]
+
+
+def division(samples: int, known: bool) -> Division:
+    """Pixels cut for so many rays, two in each stratum; `known` as in `Division`.
+
+    As many strata are traced together as cost least, if rays side by side cost as much as their number and one more;
+    the last time some may lie beyond the last stratum.
+    """
+    cells = pixel_strata(samples)
+    together = min(TOGETHER, key=lambda some: -(-cells[0] * cells[1] // some) * (some + 1))
+    return Division(placed(np.array(cells, np.int32)) if known else cells, together)
+
+
 class Pass(NamedTuple):
     """One pass over the pixels of an image.
 
@@ -68,7 +97,7 @@ class Pass(NamedTuple):
         camera: the eye.
         key: random key of the image.
         number: of the pass, which decides its random numbers with `key`.
-        strata: columns and rows of strata in a pixel.
+        strata: in a pixel.
         method: how radiance is found.
         parts: chunks into which a small image is cut all the same.
         components: by which radiance is split; None for none.
@@ -78,19 +107,19 @@ class Pass(NamedTuple):
     camera: Camera
     key: Array
     number: Array
-    strata: tuple[int, int]
+    strata: Division
     method: Method
     parts: int = PARTS
     components: Components | None = None
 
+    def of(self, samples: int) -> Pass:
+        """The same with other rays per pixel."""
+        return self._replace(strata=division(samples, not isinstance(self.strata.cells, tuple)))
+
     @property
     def strata_at_once(self) -> int:
-        """Strata of every pixel that are traced together; the last time some may lie beyond the last stratum.
-
-        As many as cost least, if rays side by side cost as much as their number and one more.
-        """
-        count, most = self.strata[0] * self.strata[1], min(STRATA_AT_ONCE, max(self._at_once // 2, 1))
-        return min(range(1, most + 1), key=lambda some: -(-count // some) * (some + 1))
+        """Strata of every pixel that are traced together."""
+        return min(self.strata.together, max(self._at_once // 2, 1))
 
     @property
     def tiles_at_once(self) -> int:
@@ -129,7 +158,7 @@ class Pass(NamedTuple):
     @property
     def quick(self) -> bool:
         """Whether to call a program for each chunk would take a share of the image's time that matters."""
-        return self.work(2 * self.strata[0] * self.strata[1]) <= QUICK
+        return self.work(2 * int(self.strata.count)) <= QUICK
 
     def work(self, samples: int) -> int:
         """Rays of an image of so many in each pixel, times nodes and what a ray counts for."""
@@ -159,7 +188,7 @@ def first_pass(
     components: str | None = None,
 ) -> Pass:
     """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
-    strata, nodes = pixel_strata(samples), scene_nodes(scene, bands)
+    nodes = scene_nodes(scene, bands)
     checks = [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene), *method.node_checks(nodes)]
     nodes = enforce(nodes, checks)
     method = method.resolved(scene)
@@ -167,6 +196,7 @@ def first_pass(
     lit = with_scattered(lit, method)
     lit = enforce(lit, [eye_outside(reach), *solution_checks(lit)])
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
+    strata = division(samples, not is_traced((lit, camera, key)))
     return Pass(lit, camera, key, as_number(0), strata, method, PARTS, split)
 
 
@@ -184,7 +214,7 @@ def as_number(number: int) -> Array:
 @program
 def whole_image(taken: Pass, parts: Estimate) -> Image:
     """The image of the estimates of all chunks, stacked."""
-    return image_of_pixels(taken, every_pixel(taken, parts), 2 * taken.strata[0] * taken.strata[1])
+    return image_of_pixels(taken, every_pixel(taken, parts), 2 * taken.strata.count)
 
 
 @program
@@ -270,11 +300,11 @@ def _estimate(
     taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], start: Float[Array, ""], empty: Array | None
 ) -> tuple[Seen, Varied]:
     """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
-    camera, strata = taken.camera, taken.strata
-    size, some, count = tile.shape[0], taken.strata_at_once, strata[0] * strata[1]
+    camera, strata, count = taken.camera, taken.strata.cells, taken.strata.count
+    size, some = tile.shape[0], taken.strata_at_once
     for_pixels, for_paths = jax.random.split(own)
 
-    def group(carry: tuple[Seen, Varied], first: Array) -> tuple[tuple[Seen, Varied], None]:
+    def group(carry: tuple[Seen, Varied], first: Array) -> tuple[Seen, Varied]:
         index = first + jnp.arange(some, dtype=jnp.int32)
         offset = stratum_points(jax.random.fold_in(for_pixels, first), index, size, strata)
         bundle = tile_rays(camera, tile, offset, start)
@@ -291,12 +321,18 @@ def _estimate(
         two = Varied(seen.radiance, seen.parts)
         apart = jax.tree.map(lambda value: added((value[:, :, :, 0] - value[:, :, :, 1]) ** 2) / 4, two)
         total, square = carry
-        return (jax.tree.map(jnp.add, total, mean), jax.tree.map(jnp.add, square, apart)), None
+        return jax.tree.map(jnp.add, total, mean), jax.tree.map(jnp.add, square, apart)
 
     dark = _dark(taken, empty)
-    none = Varied(dark.radiance, dark.parts)
-    (total, square), _ = lax.scan(group, (dark, none), jnp.arange(0, count, some, dtype=jnp.int32))
-    return jax.tree.map(lambda sum: sum / count, total), jax.tree.map(lambda sum: sum / count**2, square)
+    none = dark, Varied(dark.radiance, dark.parts)
+    if isinstance(strata, tuple):
+        begins = jnp.arange(0, count, some, dtype=jnp.int32)
+        total, square = lax.scan(lambda carry, first: (group(carry, first), None), none, begins)[0]
+    else:
+        groups = (count + (some - 1)) // some
+        total, square = lax.fori_loop(jnp.zeros_like(groups), groups, lambda k, carry: group(carry, k * some), none)
+    share = 1 / as_float(count)
+    return jax.tree.map(lambda sum: sum * share, total), jax.tree.map(lambda sum: sum * share**2, square)
 
 
 class Seen(NamedTuple):

@@ -116,7 +116,7 @@ def render(
         if look is None or (look.met and first.components is not None):  # the answer, of which no parts were asked
             look = looked(first, goal, mesh)
         return ended(*adapted(first, goal, look, max_samples, mesh))
-    image = even_image(first, 0, samples, mesh)
+    image = even_image(first, 0, samples, mesh, alone=rtol is None)
     if rtol is None:
         return ended(image, None)
     passes = [image]

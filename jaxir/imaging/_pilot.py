@@ -49,7 +49,7 @@ def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
         unresolved: `lattice_error` of the image [band].
     """
     chunks, taken = taken.chunks(), taken._replace(number=as_number(OF_PILOTS))
-    of, together = of_items(estimate_chunk, taken), 1 if taken.quick else cores()
+    of, together = of_items(estimate_chunk, taken), cores()
     compiled = _timed(of, chunks[:1])[1]
     chosen = np.unique(np.linspace(0, len(chunks) - 1, CHUNKS).astype(np.int32))
     sums, times = [], []

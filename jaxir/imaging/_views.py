@@ -18,7 +18,7 @@ from jaxir._arrays import as_float, enforce, is_traced, key_or_default, placed
 from jaxir._programs import program
 from jaxir.geometry import Camera, fitted_camera, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
-from jaxir.imaging._chunks import Pass, estimate_chunk, eye_outside, reach_to_eye, whole_image
+from jaxir.imaging._chunks import Division, Pass, division, estimate_chunk, eye_outside, reach_to_eye, whole_image
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._repeated import Tolerance, require_tolerance, until_met
@@ -97,7 +97,7 @@ class Views(NamedTuple):
         lit: the scene on the nodes.
         cameras: of all views [view].
         key: random key; that of a view does not depend on how many follow.
-        strata: columns and rows of strata in a pixel.
+        strata: in a pixel.
         method: how radiance is found.
         aspect: azimuth and elevation [view, 2] [deg].
         components: by which intensities are split; None for none.
@@ -106,7 +106,7 @@ class Views(NamedTuple):
     lit: Lit
     cameras: Camera
     key: Array
-    strata: tuple[int, int]
+    strata: Division
     method: Method
     aspect: Array
     components: Components | None = None
@@ -238,7 +238,9 @@ def prepare_views(
     lit = with_scattered(lit, method)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach), *solution_checks(lit)])
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
-    return Views(lit, cameras, key_or_default(key), pixel_strata(samples), method, aspect, split)
+    key = key_or_default(key)
+    strata = division(samples, not is_traced((lit, cameras, key)))
+    return Views(lit, cameras, key, strata, method, aspect, split)
 
 
 def check_views(

@@ -138,6 +138,7 @@ JET = [
 ]
 
 
+@pytest.mark.optimised
 def test_a_jet_that_outgrows_its_images_is_traced_again():
     value = np.asarray(jaxir.signature(jet(1200.0, 16.0), AROUND, TWO, shape=(64, 64)).intensity)
     start = jet(900.0, 8.0)

@@ -9,6 +9,8 @@ from jaxir.imaging import _choices
 from jaxir.imaging._adaptive import MARGIN, placement, strata_of, well_shaped_strata
 from tests.scenes import box_mesh
 
+pytestmark = pytest.mark.optimised
+
 CAMERA = jaxir.orthographic_camera(35.0, 25.0, 0.08, (40, 40))
 SUN = jaxir.ParallelSource((-0.6, 0.0, -0.8), 40.0)
 PLUME = jaxir.GridPlume(jaxir.Grid((-1.5, -0.4, -0.4), (0.4, 0.4, 0.4), (2, 2, 2)), 500.0, jaxir.GrayGas(0.8))

@@ -147,6 +147,7 @@ def test_march_works_under_every_transformation(x64):
         np.testing.assert_allclose(jnp.vdot(pulled, tangent), pushed.sum(), rtol=1e-10)
 
 
+@pytest.mark.optimised
 def test_second_derivatives_of_the_march_are_those_of_the_list(x64):
     grid, rays, t_max, *fields = scene("thick", seed=5)
 
@@ -155,7 +156,7 @@ def test_second_derivatives_of_the_march_are_those_of_the_list(x64):
 
     one = jnp.ones(3)
     listed, marched = (jax.hessian(partial(total, by))(one) for by in (by_list, by_march))
-    assert abs(np.linalg.det(listed)) > 0
+    assert (np.abs(listed[0]) > 0).all()  # of the extinction with each; the others add
     np.testing.assert_allclose(marched, listed, rtol=1e-9)
 
 

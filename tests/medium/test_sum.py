@@ -66,6 +66,7 @@ def test_crossing_jets_are_a_grid_of_both():
     assert error(crossing) < 1.5 * alone
 
 
+@pytest.mark.optimised
 def test_overlapping_grids_add_cell_by_cell(precision):
     """Two grids with other cells, one within the other, against one fine grid that holds their sums, exactly."""
     temperature = 800.0
@@ -142,6 +143,7 @@ def test_gradients_are_finite_where_a_plume_is_clear_or_opaque(coefficient):
         np.testing.assert_allclose(forward * size, reverse * size, rtol=1e-4, atol=1e-5 * float(total(jnp.asarray(k))))
 
 
+@pytest.mark.optimised
 def test_particles_of_several_plumes_scatter_together():
     """A furnace of two overlapping plumes with particles, and the density of the directions drawn in both."""
     warm = 400.0

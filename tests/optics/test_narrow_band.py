@@ -52,6 +52,7 @@ def test_species_add_and_absent_ones_cost_nothing():
     assert str(one).count("log ") < str(two).count("log ")
 
 
+@pytest.mark.optimised
 def test_cells_may_have_any_shape(precision):
     nodes = single_bin(2325.0)
     hot = jnp.linspace(300, 2000, 12).reshape(2, 3, 2)

@@ -1,5 +1,6 @@
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxir
 from jaxir._arrays import as_float
@@ -53,6 +54,7 @@ def test_its_grid_holds_the_state_at_centres():
     assert jnp.unique(fraction).size > 10
 
 
+@pytest.mark.optimised
 def test_combustion_gas_is_diluted_by_air():
     kerosene = jaxir.combustion_products(12.0, 23.0, 1.0)
     gas = jaxir.NarrowBandGas(101325.0, kerosene.h2o, kerosene.co2)

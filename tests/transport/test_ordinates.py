@@ -17,6 +17,8 @@ from jaxir.optics.spectrum import gray_nodes
 from jaxir.transport import _evaluate, with_scattered
 from jaxir.transport.ordinates._medium import chosen_rays
 
+pytestmark = pytest.mark.optimised
+
 COARSE = Method(scattering=DiscreteOrdinates(7, 5, 2))
 
 

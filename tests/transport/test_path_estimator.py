@@ -157,6 +157,7 @@ def estimated(scene, paths, path, key):
     return jaxir.estimate(scene.on(gray_nodes((jaxir.MWIR,))), paths, path, key)[:, 0]
 
 
+@pytest.mark.optimised
 @pytest.mark.parametrize("path", SAMPLED, ids=lambda p: type(p).__name__)
 @pytest.mark.parametrize("view", [(0.0, 0.0), (30.0, 20.0)])
 def test_estimators_of_an_image_have_the_mean_of_the_exact_sum_over_all_pixels(view, path):

@@ -355,6 +355,7 @@ def random_scene(seed, values=None):
 ACROSS = rays_down(2.4 * raster(24), 4.0)  # the scene from above, 100 rays per m2
 
 
+@pytest.mark.optimised
 def test_strategies_agree_on_random_scenes():
     """Light, brdf and both, ten bounces, 20 scenes: 60 differences, one in 100 runs of the family may fail."""
     rays = ACROSS
@@ -375,6 +376,7 @@ def test_strategies_agree_on_random_scenes():
     assert norm.sf(worst) * 2 > 1 - 0.99 ** (1 / 60), worst
 
 
+@pytest.mark.optimised
 def test_slopes_under_bounces_are_those_of_the_expected_intensity():
     """W/sr per unit of emissivity of each box, and of lobe width: pathwise against differences with other samples.
 

@@ -15,6 +15,8 @@ from jaxir.optics.spectrum import gray_nodes
 from jaxir.transport import evaluate, trace
 from tests.scenes import box_mesh
 
+pytestmark = pytest.mark.optimised
+
 NODES = gray_nodes((jaxir.LWIR,))
 WARM, COLD = 400.0, 3.0
 BLACK = float(jaxir.band_radiance(jnp.asarray(WARM), NODES)[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -45,6 +45,18 @@ class Beam(eqx.Module):
         return jax.vmap(self.source.beam)(point) * passed, omega
 
 
+class Doubt(NamedTuple):
+    """What tells how much moments may err.
+
+    Attributes:
+        rough: what they were if there were fewer harmonics [read, few, node].
+        reading: how they change with the way in which the lattice is read, see `Lattice.plain` [read, few, node].
+    """
+
+    rough: Float[Array, "read few node"]
+    reading: Float[Array, "read few node"]
+
+
 class Part(eqx.Module):
     """One of `AbstractMedium.parts_with_particles` and the light in it.
 
@@ -53,9 +65,7 @@ class Part(eqx.Module):
         kept: share of its scattering that is in it [node].
         moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
         field: L_lm [read, harmonic, node]; None where what the lattice errs is not sampled.
-        rough: `moments` if there were fewer harmonics [read, few, node]; None where what the lattice errs is sampled.
-        lacking: how they change with the way in which the lattice is read, see `Lattice.plain` [read, few, node]; None
-            as `rough`.
+        doubt: of the moments; None where what the lattice errs is sampled.
         glow: emission and scattering in the mean over directions, as shares of the largest of each node [read, 1, 1].
         beams: of all sources without extent.
     """
@@ -64,8 +74,7 @@ class Part(eqx.Module):
     kept: Float[Array, " node"]
     moments: Float[Array, "read harmonic node"]
     field: Float[Array, "read harmonic node"] | None
-    rough: Float[Array, "read few node"] | None
-    lacking: Float[Array, "read few node"] | None
+    doubt: Doubt | None
     glow: Float[Array, "read 1 1"]
     beams: tuple[Beam, ...]
     counts: tuple[int, int, int] = eqx.field(static=True)
@@ -179,7 +188,7 @@ class Scattered(AbstractMedium):
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
-        count = 1 if self.parts[0].rough is None else 3
+        count = 1 if self.parts[0].doubt is None else 3
 
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
             """Of all that are looked for side by side."""
@@ -187,12 +196,13 @@ class Scattered(AbstractMedium):
             extinction, emission = self.medium.coefficients(point)
             whole, rough, coarse = emission, emission, jnp.zeros_like(emission)
             for part in self.parts:
-                if part.rough is None or part.lacking is None:
+                if part.doubt is None:
                     whole = whole + part.source(point, rays.direction, toward, [part.moments])[0]
                     continue
-                found, few = part.source(point, rays.direction, toward, [part.moments, part.rough])
+                found, few = part.source(point, rays.direction, toward, [part.moments, part.doubt.rough])
                 whole, rough = whole + found, rough + few
-                coarse = coarse + part.read(point, toward[:, : part.lacking.shape[1]], part.lacking)[0] / 2
+                reading = part.doubt.reading
+                coarse = coarse + part.read(point, toward[:, : reading.shape[1]], reading)[0] / 2
             return jnp.tile(extinction, count), jnp.concatenate([whole, rough, coarse][:count], axis=1)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)

@@ -42,7 +42,7 @@ from jaxir.transport._method import DiscreteOrdinates
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._krylov import solved
 from jaxir.transport.ordinates._lattice import Between, Lattice, about, lattice_of, places, refined
-from jaxir.transport.ordinates._medium import Beam, Part, Scattered
+from jaxir.transport.ordinates._medium import Beam, Doubt, Part, Scattered
 
 PANELS = 6  # of a ray between the lattice's points
 PROBED = 24  # points of it at which it is seen where they shall lie
@@ -185,8 +185,9 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
             kept=jnp.ones_like(own.forward) if errs else 1 - own.forward,
             moments=refined(lattice, table * (own.all if errs else own.rest)[None]),
             field=refined(lattice, table) if errs else None,
-            rough=None if errs else lax.stop_gradient(refined(lattice, of_few(own, few))),
-            lacking=None if errs else _reading(lattice, of_few(own, table), of_few(own, plain)),
+            doubt=None
+            if errs
+            else lax.stop_gradient(_doubt(lattice, of_few(own, table), of_few(own, few), of_few(own, plain))),
             glow=lax.stop_gradient(_glow(part, lattice, table)),
             beams=shining,
             counts=lattice.read,
@@ -200,9 +201,9 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     return Scattered(given if errs else medium, held, order, *lax.stop_gradient((jnp.max(rests[:, 0]), step, backward)))
 
 
-def _reading(lattice: Lattice, table: Float[Array, "point few node"], plain: Float[Array, "point few node"]) -> Array:
-    """See `Part.lacking`: of moments as they were solved for by either way."""
-    return lax.stop_gradient(refined(lattice, table) - refined(lattice, plain, lattice.plain))
+def _doubt(lattice: Lattice, table: Array, few: Array, plain: Array) -> Doubt:
+    """Of moments [point, few, node] that were solved for, also with fewer harmonics and as read by `Lattice.plain`."""
+    return Doubt(refined(lattice, few), refined(lattice, table) - refined(lattice, plain, lattice.plain))
 
 
 def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:

@@ -8,6 +8,8 @@ from jaxir.geometry import Bundle, Rays
 from jaxir.geometry.search import Mesh, any_hit, closest_hit
 from tests.geometry.search.bodies import Lines, as_float, every_face, fins, frame, slivers, soup, sphere, torus
 
+pytestmark = pytest.mark.optimised
+
 SCALES = [1e-3, 1.0, 1e6]
 
 
