@@ -130,8 +130,8 @@ def _occluded(
             direction = direction / far
         skip = jnp.full((), -1, jnp.int32) if mesh.closed else face
         origin = position + tree.centre.astype(double)
-        near, side_ = jnp.zeros((), double), jnp.full((), side, double)
-        return Query(origin, direction, near, far, skip, side_, jnp.asarray(True))
+        near, looking = jnp.zeros((), double), jnp.full((), side, double)
+        return Query(origin, direction, near, far, skip, looking, jnp.asarray(True))
 
     count = len(point)
     size = min(TILE, -(-count // 16) * 16)
