@@ -158,7 +158,7 @@ class Pass(NamedTuple):
     @property
     def quick(self) -> bool:
         """Whether to call a program for each chunk would take a share of the image's time that matters."""
-        return self.work(2 * int(self.strata.count)) <= QUICK
+        return self.work(2 * int(np.prod(np.asarray(self.strata.cells)))) <= QUICK
 
     def work(self, samples: int) -> int:
         """Rays of an image of so many in each pixel, times nodes and what a ray counts for."""
