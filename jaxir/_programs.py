@@ -116,7 +116,7 @@ class _Program:
                 return self._jitted(inputs, item) if ready is None else ready([*arrays, *own])
             ready, arrays, signature = self._found((inputs, item), {})
             result = self._run(ready, arrays, signature, (inputs, item), {})
-            still = None if signature is None else self._held[signature]  # what was kept may have lacked something
+            still = self._held.get(signature)  # what was kept may have lacked something
             known.extend((still, arrays[: len(arrays) - len(own)]))
             return result
 

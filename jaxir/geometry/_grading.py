@@ -59,12 +59,11 @@ class _Outlines(NamedTuple):
     radius: Array
     weight: Array
 
-    def moved(self, turn: Float[Array, "2 2"], shift: Float[Array, " 2"]) -> _Outlines:
+    def moved(self, cos: Float[Array, ""], sin: Float[Array, ""], shift: Float[Array, " 2"]) -> _Outlines:
         """Turned and shifted in the image plane."""
-        (a, b), (c, d) = turn
         each = list(zip(self.x, self.y, strict=True))
         return self._replace(
-            x=[a * x + b * y + shift[0] for x, y in each], y=[c * x + d * y + shift[1] for x, y in each]
+            x=[cos * x + sin * y + shift[0] for x, y in each], y=[cos * y - sin * x + shift[1] for x, y in each]
         )
 
     def box(self) -> tuple[Array, Array]:
@@ -85,15 +84,14 @@ def graded_camera(
 ) -> Camera:
     """A camera as `fitted_camera`, rolled and graded for the brightness of what it sees; without derivatives."""
     extent, brightness = lax.stop_gradient((extent, brightness))
-    u, v, w = view_frame(azimuth, elevation)
-    upright = camera_around(jnp.stack([u, v, w]), extent, shape, distance)
+    frame = view_frame(azimuth, elevation)
+    upright = camera_around(frame, extent, shape, distance)
     parts = _seen(upright, brightness)
-    roll = _roll(parts)
-    turn = jnp.stack([jnp.cos(roll), jnp.sin(roll), -jnp.sin(roll), jnp.cos(roll)]).reshape(2, 2)
-    (a, b), (c, d) = turn
-    camera = camera_around(jnp.stack([a * u + b * v, c * u + d * v, w]), extent, shape, distance)
+    roll, (u, v, w) = _roll(parts), frame
+    cos, sin = jnp.cos(roll), jnp.sin(roll)
+    camera = camera_around(jnp.stack([cos * u + sin * v, cos * v - sin * u, w]), extent, shape, distance)
     # parts are seen as before, turned; an eye at infinity may look at another point
-    low, high = parts.moved(turn, camera.frame[:2] @ (upright.target - camera.target)).box()
+    low, high = parts.moved(cos, sin, camera.frame[:2] @ (upright.target - camera.target)).box()
     rows, columns = camera.shape
     size = (camera.pixel * as_float(np.array([columns, rows])))[:, None]
     low, high = low / size + 0.5, high / size + 0.5

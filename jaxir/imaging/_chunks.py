@@ -300,13 +300,13 @@ def _estimate(
     taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], start: Float[Array, ""], empty: Array | None
 ) -> tuple[Seen, Varied]:
     """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
-    camera, strata, count = taken.camera, taken.strata.cells, taken.strata.count
-    size, some = tile.shape[0], taken.strata_at_once
+    camera, count, size, some = taken.camera, taken.strata.count, tile.shape[0], taken.strata_at_once
     for_pixels, for_paths = jax.random.split(own)
 
-    def group(carry: tuple[Seen, Varied], first: Array) -> tuple[Seen, Varied]:
+    def group(number: Array, carry: tuple[Seen, Varied]) -> tuple[Seen, Varied]:
+        first = number.astype(jnp.int32) * some
         index = first + jnp.arange(some, dtype=jnp.int32)
-        offset = stratum_points(jax.random.fold_in(for_pixels, first), index, size, strata)
+        offset = stratum_points(jax.random.fold_in(for_pixels, first), index, size, taken.strata.cells)
         bundle = tile_rays(camera, tile, offset, start)
         seen = jax.tree.map(
             lambda value: value.reshape((size, TILE * TILE, some, 2, *value.shape[1:])),
@@ -325,12 +325,7 @@ def _estimate(
 
     dark = _dark(taken, empty)
     none = dark, Varied(dark.radiance, dark.parts)
-    if isinstance(strata, tuple):
-        begins = jnp.arange(0, count, some, dtype=jnp.int32)
-        total, square = lax.scan(lambda carry, first: (group(carry, first), None), none, begins)[0]
-    else:
-        groups = (count + (some - 1)) // some
-        total, square = lax.fori_loop(jnp.zeros_like(groups), groups, lambda k, carry: group(carry, k * some), none)
+    total, square = lax.fori_loop(0, -(-count // some), group, none)  # which can be turned round if the end is static
     share = 1 / as_float(count)
     return jax.tree.map(lambda sum: sum * share, total), jax.tree.map(lambda sum: sum * share**2, square)
 

@@ -207,8 +207,7 @@ def _first_met(
 ) -> tuple[Bool[Array, "some ray"], Hit]:
     """What directions [sample, ray] meet within a reach: of the first `some` samples whether anything, else the hit."""
     samples, count = reach.shape
-    origin = jnp.broadcast_to(at.point[None], omega.shape).reshape(samples * count, 3)
-    rays = Rays(origin, omega.reshape(samples * count, 3))
+    rays, leaving = from_points(at.point, omega, at.face)
     begin = some * count
     late = jax.tree.map(lambda leaf: leaf[begin:], rays)
 
@@ -216,7 +215,6 @@ def _first_met(
         return jnp.full(rays.count, -1, jnp.int32), no_hit(late.origin)
 
     def search(mesh: Mesh) -> tuple[Array, Hit]:
-        leaving = jnp.broadcast_to(at.face[None], reach.shape).reshape(-1)
         face = face_met(mesh, rays, jnp.arange(rays.count) < begin, reach.reshape(-1), leaving)
         return face, hit_on(mesh, late, face[begin:]) if late.count else no_hit(late.origin)
 
@@ -226,6 +224,13 @@ def _first_met(
     face, hit = found
     shaped = jax.tree.map(lambda leaf: leaf.reshape(samples - some, count, *leaf.shape[1:]), hit)
     return (face[:begin] >= 0).reshape(some, count), shaped
+
+
+def from_points(point: Array, omega: Array, face: Array | None) -> tuple[Rays, Array | None]:
+    """Rays [sample * ray] in directions [sample, ray, 3] from points [ray, 3], and the faces [ray] that they leave."""
+    origin = jnp.broadcast_to(point[None], omega.shape)
+    leaving = None if face is None else jnp.broadcast_to(face[None], omega.shape[:-1]).reshape(-1)
+    return Rays(origin.reshape(-1, 3), omega.reshape(-1, 3)), leaving
 
 
 def _hollow(scene: Scene, at: Points) -> Bool[Array, ""]:

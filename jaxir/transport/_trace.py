@@ -18,7 +18,7 @@ from jaxir.geometry.search import any_hit, closest_hit
 from jaxir.scene import Scene
 from jaxir.scene.light import AbstractDeltaSource
 from jaxir.scene.plume import pdf_direction, sample_direction
-from jaxir.transport._direct import Onward, Points, Spread, sample_direct
+from jaxir.transport._direct import Onward, Points, Spread, from_points, sample_direct
 from jaxir.transport._lights import lights_at_particles, lights_at_skin
 from jaxir.transport._method import Method
 from jaxir.transport._paths import LightSamples, Paths, Scattering, Segment, Vertex
@@ -173,14 +173,13 @@ def _toward(sources: Sequence[AbstractDeltaSource], point: Array) -> tuple[Array
     return omega, distance
 
 
-def _sees(scene: Scene, point: Array, omega: Array, reach: Array, leaving: Array | None) -> Array:
+def _sees(scene: Scene, point: Array, omega: Array, reach: Array, face: Array | None) -> Array:
     """Whether nothing hides what lies at a reach > 0 [source, ray] in directions from points; all in one search."""
     seen = reach > 0
     if scene.skin is None or seen.shape[0] == 0:
         return seen
-    rays = Rays(jnp.broadcast_to(point[None], omega.shape).reshape(-1, 3), omega.reshape(-1, 3))
-    face = None if leaving is None else jnp.broadcast_to(leaving[None], reach.shape).reshape(-1)
-    return seen & ~any_hit(scene.skin.mesh, rays, t_max=reach.reshape(-1), leaving=face).reshape(reach.shape)
+    rays, leaving = from_points(point, omega, face)
+    return seen & ~any_hit(scene.skin.mesh, rays, t_max=reach.reshape(-1), leaving=leaving).reshape(reach.shape)
 
 
 def _look_from_skin(

@@ -170,7 +170,7 @@ def any_hit(
 
 
 def face_met(
-    mesh: Mesh, rays: Rays, some: Bool[Array, " ray"], t_max: Float[Array, " ray"], leaving: Int[Array, " ray"]
+    mesh: Mesh, rays: Rays, some: Bool[Array, " ray"], t_max: Float[Array, " ray"], leaving: Int[Array, " ray"] | None
 ) -> Int[Array, " ray"]:
     """The face of `closest_hit`, -1 for none, or any face before t_max for those rays of which `some` will do.
 
