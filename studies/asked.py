@@ -181,7 +181,7 @@ def main(run: Run) -> str:
         rows += compare_intensity(name, scene, eye, tolerance * OF_SUM, keys)
         if not name.endswith((", far", ", 512")):  # the same scene seen from elsewhere
             rows.append(compare_views(name, scene, tolerance, keys))
-    run.table(rows)
+        run.table(rows)  # what there is, should it be ended early
     varied = [row for row in rows if row["obtained_over_asked"] > 1e-3]
     figure, axes = subplots(1, 2, figsize=(9, 3.6))
     said = []

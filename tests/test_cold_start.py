@@ -103,7 +103,7 @@ ANSWER = """
 import sys
 from test_cold_start import CAMERA, MWIR, jaxir, scene
 print(jaxir.compilation_cache())
-print(jaxir.render(scene((0.8, 900.0)), CAMERA, MWIR).radiant_intensity())
+print(jaxir.render(jaxir.Scene(scene((0.8, 900.0)).skin), CAMERA, MWIR).radiant_intensity())
 """
 
 

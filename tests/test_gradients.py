@@ -2,7 +2,6 @@
 
 import itertools
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,15 +12,15 @@ from tests.scenes import box_mesh, gray_box, plate
 
 BANDS = (jaxir.MWIR, jaxir.LWIR)
 PARAMETERS = {"emissivity": 0.7, "skin_temperature": 420.0, "absorption": 0.8, "plume_temperature": 1100.0}
+FACES, CELLS = 12, (4, 3, 5)
+RAMP = np.linspace(0.2, 1.0, 60).reshape(*CELLS, 1)
 
 
 def intensity(emissivity, skin_temperature, absorption, plume_temperature):
-    """A box in front of, inside and behind a plume, lit by a sun through it."""
+    """A box in front of, inside and behind a plume, lit by a sun through it, by values of each face and cell."""
     scene = jaxir.Scene(
         skin=jaxir.Skin(box_mesh((0.5, 0.6, 0.4), (0.4, 0.1, 0.0)), skin_temperature, jaxir.Lambert(emissivity)),
-        plumes=gray_box(
-            (2.0, 1.0, 0.8), absorption * np.linspace(0.2, 1.0, 60).reshape(4, 3, 5, 1), temperature=plume_temperature
-        ),
+        plumes=gray_box((2.0, 1.0, 0.8), absorption, temperature=plume_temperature),
         sources=(jaxir.ParallelSource((-0.6, 0.0, -0.8), 20.0),),
         background=jaxir.BlackbodyBackground(250.0),
         atmosphere=jaxir.FixedPath(0.8, 0.1),
@@ -30,66 +29,70 @@ def intensity(emissivity, skin_temperature, absorption, plume_temperature):
     return jaxir.render(scene, camera, BANDS, samples=2).radiant_intensity()
 
 
+def everywhere(emissivity, skin_temperature, absorption, plume_temperature):
+    """One number for all faces, or for all cells, whose absorption rises from cell to cell."""
+    faces, cells = jnp.ones(FACES), jnp.ones(CELLS)
+    return emissivity * faces, skin_temperature * faces, absorption * jnp.asarray(RAMP), plume_temperature * cells
+
+
+@jax.jit
+def slopes(at, direction, weight):
+    """Intensity, its derivative in a direction [band], and those of its weighted sum: forward, and that transposed."""
+    value, forward = jax.linearize(intensity, *at)
+    return value, forward(*direction), jax.linear_transpose(forward, *at)(weight)
+
+
 def test_forward_reverse_and_difference_agree(x64):
-    at = tuple(jnp.asarray(value) for value in PARAMETERS.values())
-    compiled = jax.jit(intensity)
-    forward, reverse = (jax.jit(mode(intensity, argnums=(0, 1, 2, 3)))(*at) for mode in (jax.jacfwd, jax.jacrev))
+    value = np.asarray(list(PARAMETERS.values()))
     for index, name in enumerate(PARAMETERS):
-        step = 1e-3 * at[index]
+        unit = everywhere(*np.eye(4)[index])
+        step = 1e-3 * value[index] * np.eye(4)[index]
         near, far = (
-            compiled(*at[:index], at[index] + k * step, *at[index + 1 :])
-            - compiled(*at[:index], at[index] - k * step, *at[index + 1 :])
+            np.asarray(slopes(everywhere(*(value + k * step)), unit, jnp.ones(2))[0])
+            - np.asarray(slopes(everywhere(*(value - k * step)), unit, jnp.ones(2))[0])
             for k in (1, 2)
         )
-        difference = (8 * near - far) / (12 * step)
-        np.testing.assert_allclose(forward[index], reverse[index], rtol=1e-10, err_msg=name)
-        np.testing.assert_allclose(forward[index], difference, rtol=1e-6, err_msg=name)
-        assert (np.abs(forward[index]) > 0).all()
+        difference = (8 * near - far) / (12 * step[index])
+        found = [slopes(everywhere(*value), unit, weight) for weight in jnp.eye(2)]
+        forward = np.asarray(found[0][1])
+        reverse = [np.vdot(gradient[index], unit[index]) for _, _, gradient in found]
+        np.testing.assert_allclose(forward, reverse, rtol=1e-10, err_msg=name)
+        np.testing.assert_allclose(forward, difference, rtol=1e-6, err_msg=name)
+        assert (np.abs(forward) > 0).all()
 
 
 def test_gradient_of_every_face_and_cell_at_once(x64):
-    camera = jaxir.orthographic_camera(25.0, 15.0, 0.15, (16, 16))
-    base = jaxir.Scene(
-        skin=jaxir.Skin(
-            box_mesh((0.5, 0.6, 0.4)), np.linspace(300.0, 500.0, 12), jaxir.Lambert(np.linspace(0.2, 0.9, 12))
-        ),
-        plumes=gray_box((2.0, 1.0, 0.8), np.linspace(0.2, 1.0, 60).reshape(4, 3, 5, 1)),
-    )
-
-    def total(scene):
-        return jaxir.render(scene, camera, jaxir.LWIR, samples=2).radiant_intensity()[0]
-
-    value, static = eqx.partition(base, eqx.is_inexact_array)
-    direction = jax.tree.map(lambda x: jnp.cos(jnp.arange(x.size, dtype=x.dtype)).reshape(x.shape), value)
-    geometry = (direction.skin.mesh, direction.plumes[0].grid)
-    direction = eqx.tree_at(
-        lambda s: (s.skin.mesh, s.plumes[0].grid), direction, jax.tree.map(jnp.zeros_like, geometry)
-    )
-    function = jax.jit(lambda v: total(eqx.combine(v, static)))
-    slope = jax.jvp(function, (value,), (direction,))[1]
-    gradient = jax.grad(function)(value)
-    pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
-    np.testing.assert_allclose(slope, sum(float(jnp.vdot(g, d)) for g, d in pairs), rtol=1e-9)
+    at = np.linspace(0.2, 0.9, FACES), np.linspace(300.0, 500.0, FACES), RAMP, np.full(CELLS, 600.0)
+    at = tuple(jnp.asarray(value) for value in at)
+    direction = tuple(jnp.cos(jnp.arange(x.size, dtype=x.dtype)).reshape(x.shape) for x in at)
+    for band, weight in enumerate(jnp.eye(2)):
+        _, slope, gradient = slopes(at, direction, weight)
+        expected = sum(np.vdot(g, d) for g, d in zip(gradient, direction, strict=True))
+        np.testing.assert_allclose(slope[band], expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
-def test_finite_at_every_hard_place(mode):
-    slopes = jax.jit(mode(intensity, argnums=(0, 1, 2, 3)))
+def test_finite_at_every_hard_place():
     for emissivity, absorption, temperature in itertools.product(
         (0.0, 1e-7, 1.0), (0.0, 1e-30, 1e-8, 1e4), (3.0, 6000.0)
     ):
-        for got in slopes(emissivity, temperature, absorption, temperature):
-            assert np.isfinite(got).all(), (emissivity, absorption, temperature)
+        at = everywhere(emissivity, temperature, absorption, temperature)
+        for unit, weight in zip(np.eye(4), (*jnp.eye(2), *jnp.eye(2)), strict=True):
+            for got in jax.tree.leaves(slopes(at, everywhere(*unit), weight)):
+                assert np.isfinite(got).all(), (emissivity, absorption, temperature)
+
+
+@jax.jit
+def slope_of_a_plate(camera):
+    def total(temperature):
+        scene = jaxir.Scene(plate(temperature=temperature), sources=(jaxir.ParallelSource((0.0, -1.0, 0.0), 10.0),))
+        return jaxir.render(scene, camera, jaxir.LWIR, samples=2).radiant_intensity()[0]
+
+    return jax.grad(total)(400.0)
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 89.9999, 90.0])
 def test_finite_on_misses_edges_and_grazing_views(azimuth):
-    def total(temperature):
-        scene = jaxir.Scene(plate(temperature=temperature), sources=(jaxir.ParallelSource((0.0, -1.0, 0.0), 10.0),))
-        camera = jaxir.orthographic_camera(azimuth, 0.0, 1.0 / 16, (16, 16))
-        return jaxir.render(scene, camera, jaxir.LWIR, samples=2).radiant_intensity()[0]
-
-    assert np.isfinite(jax.grad(total)(400.0))
+    assert np.isfinite(slope_of_a_plate(jaxir.orthographic_camera(azimuth, 0.0, 1.0 / 16, (16, 16))))
 
 
 def test_visibility_has_no_derivative(x64):

@@ -187,7 +187,7 @@ def test_every_entry_says_it_and_an_error_comes_first():
     for entry in (
         lambda: jaxir.render(scene, camera, jaxir.MWIR, samples=2),
         lambda: jaxir.unoccluded_intensity(scene, 0.0, 0.0, jaxir.MWIR),
-        lambda: jaxir.signature(scene, [[0.0, 0.0]], jaxir.MWIR, shape=(4, 4)),
+        lambda: jaxir.signature(scene, [[0.0, 0.0]] * 2, jaxir.MWIR, shape=(4, 4)),
         lambda: measured_intensity(scene, [[0.0, 0.0]], jaxir.MWIR, [[1.0]], 0.1, shape=(4, 4)),
         lambda: jax.grad(lambda t: jaxir.unoccluded_intensity(jaxir.Scene(skin(t)), 0.0, 0.0, jaxir.MWIR)[0])(27.0),
     ):

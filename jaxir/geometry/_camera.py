@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float, Int, Shaped
 
 from jaxir._arrays import (
@@ -27,6 +28,7 @@ from jaxir._arrays import (
     require_precision,
     require_shape,
 )
+from jaxir._math import dot
 from jaxir._plausible import ELEVATION, usual
 from jaxir.geometry._ray import Bundle
 
@@ -92,7 +94,8 @@ class Camera(eqx.Module):
 
     def project(self, point: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
         """Screen points of points of the scene [m]."""
-        local = (point - self.target[(None,) * (point.ndim - 1)]) @ self.frame.T
+        around = (None,) * (point.ndim - 1)
+        local = dot((point - self.target[around])[..., None, :], self.frame[around])
         return local[..., :2] / (1 - local[..., 2:] * self.inverse_range)
 
     def half_size(self) -> Float[Array, " 2"]:
@@ -118,11 +121,9 @@ class Camera(eqx.Module):
 
     def _raster(self, tile: Int[Array, " tile"]) -> tuple[Int[Array, "tile pixel"], Int[Array, "tile pixel"]]:
         """Row and column of every pixel of tiles, beyond the image's edge too."""
-        columns = jnp.int32(self.tiles[1])
-        inside = jnp.arange(TILE * TILE, dtype=jnp.int32)
-        row = (tile // columns)[:, None] * TILE + (inside // TILE)[None, :]
-        column = (tile % columns)[:, None] * TILE + (inside % TILE)[None, :]
-        return row, column
+        columns = jnp.asarray(self.tiles[1], tile.dtype)
+        row, column = np.divmod(np.arange(TILE * TILE, dtype=np.int32)[None], TILE)
+        return lax.div(tile, columns)[:, None] * TILE + row, lax.rem(tile, columns)[:, None] * TILE + column
 
     def pixel_index(self, tile: Int[Array, " tile"]) -> Int[Array, "tile pixel"]:
         """row * columns + column of every pixel of tiles, -1 beyond the image's edge."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import equinox as eqx
-import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -60,13 +59,12 @@ class Bundle(eqx.Module):
 
     def rays(self) -> Rays:
         """The same rays one by one, target-centred so that float32 serves any range."""
-        # one component at a time: XLA's CPU loops over a last axis of length 3 are slow
-        x, y = self.screen[:, 0], self.screen[:, 1]
+        # [3, ray]: XLA's CPU loops over a last axis of length 3 are slow
+        x, y = self.screen.T
         slant = lax.rsqrt(1 + self.inverse_range * self.inverse_range * (x * x + y * y))
+        u, v, w = self.frame[:, :, None]
+        lateral = x[None] * u + y[None] * v
         shrink = 1 - self.start * self.inverse_range
-        origin, direction = [], []
-        for k in range(3):
-            lateral = x * self.frame[0, k] + y * self.frame[1, k]
-            direction.append((self.inverse_range * lateral - self.frame[2, k]) * slant)
-            origin.append(self.target[k] + (lateral * shrink + self.start * self.frame[2, k]))
-        return Rays(jnp.stack(origin).T, jnp.stack(direction).T)
+        origin = self.target[:, None] + (lateral * shrink + self.start * w)
+        direction = (self.inverse_range * lateral - w) * slant[None]
+        return Rays(origin.T, direction.T)

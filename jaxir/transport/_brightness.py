@@ -16,6 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
+from jaxir._math import dot
 from jaxir._programs import program
 from jaxir.geometry import Brightness, Camera, graded_camera
 from jaxir.geometry.search import face_normal
@@ -75,7 +76,7 @@ def share_outside(lit: Lit, camera: Camera) -> Float[Array, " band"]:
 
     vector = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     place = jnp.asarray(_centres(int(min(max((PROJECTED / max(len(corners), 1)) ** 0.5, 2), 16))), corners.dtype)
-    seen = jnp.maximum(vector @ camera.frame[2], 0)[:, None] * radiance
+    seen = jnp.maximum(dot(vector, camera.frame[2:]), 0)[:, None] * radiance
     of_faces = beyond(jnp.einsum("pc,fck->fpk", place, corners))
     along = jnp.asarray([0.1, 0.3, 0.5, 0.7, 0.9], ends.dtype)[None, :, None]
     of_capsules = beyond(ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]))

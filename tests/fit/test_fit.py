@@ -212,7 +212,7 @@ def test_named_parameters_change_what_they_name():
 
 def test_a_parameter_that_touches_nothing_in_view_is_named():
     truth = body([0.3, 0.6, 0.9], [300, 320, 350])
-    measured = measured_intensity(truth, [(0, 0)], BANDS, [[1.0, 1.0]], 0.1, shape=(32, 32))
+    measured = measured_intensity(truth, [(0, 0)] * len(VIEWS), BANDS, np.ones((18, 2)), 0.1, shape=(32, 32))
     with pytest.raises(ValueError, match="emissivity of top changes nothing in the measured views"):
         fit(truth, [part_emissivity("front"), part_emissivity("top")], [measured])
 

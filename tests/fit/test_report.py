@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 
 import jaxir
-from jaxir.fit import Bounds, Factor, fit
+from jaxir.fit import Bounds, Factor, fit, measured_image
 from tests.fit.slabs import DEPTH, TEMPERATURE, looked_at, slab
 
 THREE = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
@@ -43,11 +43,12 @@ def test_a_good_fit_says_so_and_an_outlier_is_named():
 
 
 def test_few_outliers_suggest_a_robust_loss():
-    measured = looked_at(slab(1000.0, 1.0), THREE)
-    wrong = with_value(measured, lambda v: v * np.array([[1.0, 1.0, 1.4]]))
-    among = [measured] * 6 + [wrong]
+    value = np.tile(looked_at(slab(1000.0, 1.0), THREE).value.reshape(1, 1, 3), (7, 1, 1))
+    spread = 0.01 * value
+    value[6, 0, 2] *= 1.4
+    among = [measured_image(jaxir.orthographic_camera(0.0, 0.0, 0.1, (7, 1)), THREE, value, spread)]
     squares = fit(slab(800.0, 1.0), [TEMPERATURE], among)
-    assert "try robust=3" in str(squares) and "measurement 6, row 0, LWIR" in str(squares)
+    assert "try robust=3" in str(squares) and "measurement 0, row 6, LWIR" in str(squares)
     robust = fit(slab(800.0, 1.0), [TEMPERATURE], among, robust=3.0)
     assert "try robust=3" not in str(robust)
     assert abs(float(robust.uncertainty.value[0]) - 1.25) < abs(float(squares.uncertainty.value[0]) - 1.25) + 1e-4

@@ -120,20 +120,21 @@ def test_march_works_under_every_transformation(x64):
         return march(grid, extinction * scale * at[0], emission * at[1], rays, t_max, behind * at[2]).sum()
 
     at = jnp.ones(3)
-    want = sum(jax.grad(one)(at, scale) for scale in scales)
+    slope = jax.jit(jax.grad(one))
+    want = sum(slope(at, scale) for scale in scales)
     runs = {
         "vmap": lambda at: jax.vmap(one, (None, 0))(at, scales).sum(),
         "scan": lambda at: jax.lax.scan(lambda c, s: (c + one(at, s), None), jnp.zeros(()), scales)[0],
         "checkpoint": jax.checkpoint(lambda at: jax.vmap(one, (None, 0))(at, scales).sum()),
     }
-    for run in runs.values():
-        np.testing.assert_allclose(jax.jit(jax.grad(run))(at), want, rtol=1e-10)
-        np.testing.assert_allclose(jax.jacfwd(run)(at), want, rtol=1e-10)
+    both = (jax.grad, jax.jacfwd)
+    for found in jax.jit(lambda at: [mode(run)(at) for run in runs.values() for mode in both])(at):
+        np.testing.assert_allclose(found, want, rtol=1e-10)
 
     def many(at):
         return march(grid, extinction * at[0], emission * at[1], rays, t_max, behind * at[2])[:4]
 
-    np.testing.assert_allclose(jax.jacfwd(many)(at), jax.jacrev(many)(at), rtol=1e-10)
+    np.testing.assert_allclose(*jax.jit(lambda at: [jax.jacfwd(many)(at), jax.jacrev(many)(at)])(at), rtol=1e-10)
     for argument in range(3):  # one differentiated operand at a time takes other paths through the rules
         fields = [extinction, emission, behind]
 
@@ -141,21 +142,23 @@ def test_march_works_under_every_transformation(x64):
             inputs = [*fields[:argument], value, *fields[argument + 1 :]]
             return march(grid, inputs[0], inputs[1], rays, t_max, inputs[2])
 
-        tangent = fields[argument]
-        pushed = jax.jvp(single, (fields[argument],), (tangent,))[1]
-        pulled = jax.vjp(single, fields[argument])[1](jnp.ones_like(behind))[0]
-        np.testing.assert_allclose(jnp.vdot(pulled, tangent), pushed.sum(), rtol=1e-10)
+        @jax.jit
+        def sums(tangent, single=single):
+            pushed = jax.jvp(single, (tangent,), (tangent,))[1]
+            pulled = jax.vjp(single, tangent)[1](jnp.ones_like(behind))[0]
+            return jnp.vdot(pulled, tangent), pushed.sum()
+
+        np.testing.assert_allclose(*sums(fields[argument]), rtol=1e-10)
 
 
-@pytest.mark.optimised
 def test_second_derivatives_of_the_march_are_those_of_the_list(x64):
     grid, rays, t_max, *fields = scene("thick", seed=5)
 
     def total(by, s):
         return by(grid, rays, t_max)(fields[0] * s[0], fields[1] * s[1], fields[2] * s[2]).sum()
 
-    one = jnp.ones(3)
-    listed, marched = (jax.hessian(partial(total, by))(one) for by in (by_list, by_march))
+    hessians = [jax.hessian(partial(total, by)) for by in (by_list, by_march)]
+    listed, marched = jax.jit(lambda one: [hessian(one) for hessian in hessians])(jnp.ones(3))
     assert (np.abs(listed[0]) > 0).all()  # of the extinction with each; the others add
     np.testing.assert_allclose(marched, listed, rtol=1e-9)
 

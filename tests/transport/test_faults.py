@@ -37,8 +37,14 @@ def test_paths_keep_their_bounces():
     """Evaluated without a word of the method: emissivity B times the sum of rho^k, less what leaves at the rim."""
     emissivity, bounces = 0.3, 3
     scene = jaxir.Scene(facing_plates(emissivity, 400.0))
-    paths = jaxir.trace(scene, rays_down(48, 0.5), jaxir.Method(bounces=bounces), jax.random.key(0))
-    got = np.asarray(jaxir.evaluate(scene.on(NODES), paths)[:, 0], float)
+
+    @eqx.filter_jit
+    def look(scene):
+        paths = jaxir.trace(scene, rays_down(48, 0.5), jaxir.Method(bounces=bounces), jax.random.key(0))
+        return paths, jaxir.evaluate(scene.on(NODES), paths)[:, 0]
+
+    paths, got = look(scene)
+    got = np.asarray(got, float)
     black = float(jaxir.band_radiance(jnp.asarray(400.0), NODES)[0])
     full = black * (1 - (1 - emissivity) ** (bounces + 1))
     error = got.std() / np.sqrt(got.size)
@@ -47,9 +53,9 @@ def test_paths_keep_their_bounces():
     assert paths.method.bounces == bounces
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_a_background_that_is_also_a_source_lights_once_for_each(compiled):
-    """One object given twice is two lights, eagerly as under jit."""
+@pytest.mark.parametrize("given", [False, True])
+def test_a_background_that_is_also_a_source_lights_once_for_each(given):
+    """One object named twice is two lights, where a program holds the very object as where it is given a scene."""
     sky = jaxir.UniformBackground(10.0)
     scene = jaxir.Scene(plate(0.5), sources=(sky,), background=sky)
 
@@ -57,16 +63,13 @@ def test_a_background_that_is_also_a_source_lights_once_for_each(compiled):
         paths = jaxir.trace(scene, rays_down(4, 0.5), key=jax.random.key(1))
         return jaxir.evaluate(scene.on(NODES), paths)[:, 0]
 
-    got = (jax.jit(look) if compiled else look)(scene)
+    got = jax.jit(look)(scene) if given else jax.jit(lambda: look(scene))()
     np.testing.assert_allclose(got, 0.5 * 2 * 10.0, rtol=1e-5)
 
 
-@pytest.mark.parametrize("light", ["uniform", "by elevation"])
-def test_a_hidden_background_lights_the_skin_by_default(light):
-    hidden = {
-        "uniform": jaxir.UniformBackground(12.0),
-        "by elevation": jaxir.ElevationTable([-90.0, 90.0], [12.0, 12.0]),
-    }[light]
+def test_hidden_backgrounds_light_the_skin_by_default():
+    """One that is uniform and one by elevation, each with a share of its own."""
+    hidden = jaxir.UniformBackground(8.0), jaxir.ElevationTable([-90.0, 90.0], [4.0, 4.0])
     scene = jaxir.Scene(plate(0.5), sources=hidden)
     camera = jaxir.orthographic_camera(0.0, 90.0, 0.02, (16, 16))
     image = jaxir.render(scene, camera, jaxir.LWIR, samples=2)

@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,7 @@ from jaxir.optics.spectrum import gray_nodes
 from tests.scenes import gray_box, plate
 
 SAMPLED = (jaxir.PointIntegration(), jaxir.LineIntegration(), jaxir.CombinedIntegration())
+NODES = gray_nodes((jaxir.MWIR,))
 CELLS = 8
 MAP = 10.0 ** np.arange(-8, 5)
 
@@ -57,6 +59,7 @@ def by_cell(lists, mu, j, behind):
     return pull[0] * mu, pull[1] * j
 
 
+@pytest.mark.optimised
 @pytest.mark.parametrize("glow", [0.0, 0.3])
 @pytest.mark.parametrize("path", SAMPLED, ids=lambda p: type(p).__name__)
 def test_mean_variance_and_gradient_are_those_of_the_closed_forms(path, glow, x64):
@@ -145,29 +148,46 @@ def test_thinning_is_the_difference_of_the_phis(x64):
 
 def camera_rays(scene, camera, samples):
     """Rays of all pixels of an image of one tile, and the part of the pixel's area that each stands for [ray] [m2]."""
-    offset = pixel_samples(jax.random.key(3), 1, samples)
-    bundle = tile_rays(camera, jnp.zeros(1, jnp.int32), offset, scene.start(camera))
+
+    @eqx.filter_jit
+    def rays(scene, camera):
+        offset = pixel_samples(jax.random.key(3), 1, samples)
+        return tile_rays(camera, jnp.zeros(1, jnp.int32), offset, scene.start(camera))
+
+    bundle = rays(scene, camera)
     inside = camera.pixel_index(jnp.zeros(1, jnp.int32)).reshape(-1)
     area = jnp.where(inside >= 0, camera.pixel_area().reshape(-1)[inside], 0)
     return bundle, np.repeat(np.asarray(area, float), samples) / samples
 
 
-@jax.jit
+@eqx.filter_jit
+def traced(scene, rays, key):
+    """Paths, and the exact sum along each."""
+    paths = jaxir.trace(scene, rays, None, key)
+    return paths, jaxir.evaluate(scene.on(NODES), paths)[:, 0]
+
+
+@eqx.filter_jit
 def estimated(scene, paths, path, key):
-    return jaxir.estimate(scene.on(gray_nodes((jaxir.MWIR,))), paths, path, key)[:, 0]
+    return jaxir.estimate(scene.on(NODES), paths, path, key)[:, 0]
 
 
-@pytest.mark.optimised
+def whole():
+    """A scene with all of its parts: skin behind a plume in the sun, sky and air."""
+    sun = jaxir.ParallelSource((-1.0, 0.0, 0.0), 50.0)
+    air, sky = jaxir.FixedPath(0.7, 0.2), jaxir.UniformBackground(2.0)
+    return jaxir.Scene(plate(x=-0.9), gray_box((1.0, 1.2, 1.2), 1.0), sun, sky, air)
+
+
 @pytest.mark.parametrize("path", SAMPLED, ids=lambda p: type(p).__name__)
 @pytest.mark.parametrize("view", [(0.0, 0.0), (30.0, 20.0)])
 def test_estimators_of_an_image_have_the_mean_of_the_exact_sum_over_all_pixels(view, path):
     """Radiant intensity by traced rays of a camera, and its standard error from repeats of every ray."""
-    scene = jaxir.Scene(plumes=gray_box((1.0, 1.0, 1.0), 1.0), background=jaxir.UniformBackground(0.5))
+    scene = whole()
     camera = jaxir.orthographic_camera(*view, 0.12, (16, 16))
     bundle, area = camera_rays(scene, camera, 8)
-    paths = jaxir.trace(scene, bundle)
-    exact = np.asarray(jaxir.evaluate(scene.on(gray_nodes((jaxir.MWIR,))), paths), float)[:, 0]
-    repeats = 8
+    paths, exact = traced(scene, bundle, jax.random.key(4))
+    exact, repeats = np.asarray(exact, float), 8
     keys = [jax.random.key(k) for k in range(repeats)]
     noisy = np.stack([np.asarray(estimated(scene, paths, path, key), float) for key in keys])
     error = np.sqrt(np.sum(noisy.var(axis=0, ddof=1) * area**2) / repeats)
@@ -179,12 +199,10 @@ def test_estimators_of_an_image_have_the_mean_of_the_exact_sum_over_all_pixels(v
 
 def test_an_estimator_lies_behind_the_air_and_in_front_of_skin():
     """The exact sum, and the mean of a sampled one, in a scene with all of its parts."""
-    sun = jaxir.ParallelSource((-1.0, 0.0, 0.0), 50.0)
-    air, sky = jaxir.FixedPath(0.7, 0.2), jaxir.UniformBackground(2.0)
-    scene = jaxir.Scene(plate(x=-0.9), gray_box((1.0, 1.2, 1.2), 1.0), sun, sky, air)
+    scene = whole()
     bundle, _ = camera_rays(scene, jaxir.orthographic_camera(15.0, 10.0, 0.12, (16, 16)), 8)
-    paths = jaxir.trace(scene, bundle, None, jax.random.key(4))
-    exact = np.asarray(jaxir.evaluate(scene.on(gray_nodes((jaxir.MWIR,))), paths), float)[:, 0]
+    paths, exact = traced(scene, bundle, jax.random.key(4))
+    exact = np.asarray(exact, float)
     np.testing.assert_allclose(estimated(scene, paths, jaxir.CellSum(), jax.random.key(5)), exact, rtol=1e-5)
     keys = [jax.random.key(k) for k in range(8)]
     off = np.stack([estimated(scene, paths, jaxir.CombinedIntegration(), key) for key in keys]).astype(float) - exact
@@ -201,7 +219,7 @@ def test_an_opaque_cell_behind_a_thin_one_does_not_swallow_it(kind):
     plume = jaxir.GridPlume(grid, jnp.asarray([900.0, 700.0]).reshape(2, 1, 1), jaxir.GrayGas(extinction))
     scene, key = jaxir.Scene(None, plume), jax.random.key(0)
     rays = jaxir.Rays(jnp.tile(jnp.asarray([[-1.0, 0, 0]]), (4096, 1)), jnp.tile(jnp.asarray([[1.0, 0, 0]]), (4096, 1)))
-    lit, paths = scene.on(gray_nodes((jaxir.MWIR,))), jaxir.trace(scene, rays, jaxir.Method(), key)
-    exact = float(jaxir.estimate(lit, paths, jaxir.CellSum(), key).mean())
-    found = np.asarray(jaxir.estimate(lit, paths, getattr(jaxir, kind)(), key), np.float64)
+    paths, exact = traced(scene, rays, key)
+    exact = float(exact.mean())
+    found = np.asarray(estimated(scene, paths, getattr(jaxir, kind)(), key), np.float64)
     assert abs(found.mean() - exact) < 4 * found.std() / 64 + 1e-4 * exact

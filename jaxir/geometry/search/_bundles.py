@@ -10,7 +10,7 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir._math import on_platform
+from jaxir._math import dot, on_platform
 from jaxir.geometry import bits, greater, item, largest, lesser, lowest_bit, octant, row, smallest, varying
 from jaxir.geometry.search._single import DOUBT, NONE, Query, settled
 from jaxir.geometry.search._tree import FAR, WIDTH, Tree
@@ -144,7 +144,7 @@ def see(
 ) -> SeenTree:
     """The tree seen by a projective map; arguments as in `View`."""
     travel = travel_of(frame)
-    shift = travel @ (tree.centre - target)
+    shift = dot(travel, (tree.centre - target)[None])
     first = octant(travel[2])
     boxes, children = [], []
     for level_boxes, level_children in zip(tree.boxes, tree.children, strict=True):
@@ -163,7 +163,7 @@ def _grain(tree: Tree, travel: Array, shift: Array, inverse_range: Array | None)
     if inverse_range is None:
         return grain
     # projection enlarges errors by s (1 + |x| / range), at most at the corners of the box
-    size = jnp.abs(travel) @ tree.extent
+    size = dot(jnp.abs(travel), tree.extent[None])
     scale = 1 / jnp.maximum(1 + (shift[2] - size[2]) * inverse_range, jnp.finfo(reach.dtype).eps)
     widest = jnp.sum(jnp.abs(shift[:2]) + size[:2])
     return grain * scale * (1 + scale * widest * inverse_range)
@@ -178,32 +178,45 @@ class Tile(NamedTuple):
     skip: Array | None
 
 
-def project_boxes(table: Array, travel: Array, shift: Array, inverse_range: Array | None) -> Array:
-    """Screen rectangles and nearest depths of boxes [node, 6 * 16] of the tree [node, 5 * 16]; conservative."""
-    # one coordinate at a time, in rows of 16: XLA's CPU loops over short axes are slow
-    low, high = ([table[:, k * WIDTH : (k + 1) * WIDTH] for k in axes] for axes in ((0, 1, 2), (3, 4, 5)))
-    empty = low[0] >= FAR
+def extents(
+    table: Float[Array, "node 96"], rows: Float[Array, "row 3"], shift: Float[Array, " row"]
+) -> tuple[Float[Array, "node row 16"], Float[Array, "node row 16"], Bool[Array, "node 1 16"]]:
+    """Least and greatest coordinates of boxes of the tree along vectors, from `shift` on; and which boxes are empty.
+
+    Conservative: what rounding may move lies within.
+    """
+    # by rows of sixteen boxes: XLA's CPU loops over short axes are slow
+    sides = table.reshape(-1, 2, 3, 1, WIDTH)
+    low, high = sides[:, 0], sides[:, 1]
+    empty = low[:, 0] >= FAR
+    along = rows.T[None, :, :, None]
     eps = jnp.finfo(table.dtype).eps
-    stray = 8 * eps * jnp.max(jnp.abs(shift))
-    sides = []
-    for k in range(3):
-        turned = [travel[k, j] * jnp.where(empty, 0, (low[j] + high[j]) / 2) for j in range(3)]
-        middle = turned[0] + turned[1] + turned[2] + shift[k]
-        half = [jnp.abs(travel[k, j]) * jnp.where(empty, 0, (high[j] - low[j]) / 2) for j in range(3)]
-        reach = (half[0] + half[1] + half[2]) * (1 + 8 * eps) + (8 * eps * jnp.abs(middle) + stray)
-        sides.append((middle - reach, middle + reach))
-    (x0, x1), (y0, y1), (near, far) = sides
+    turned = along * jnp.where(empty[:, None], 0, (low + high) / 2)
+    half = jnp.abs(along) * jnp.where(empty[:, None], 0, (high - low) / 2)
+    middle = turned[:, 0] + turned[:, 1] + turned[:, 2] + shift[None, :, None]
+    reach = (half[:, 0] + half[:, 1] + half[:, 2]) * (1 + 8 * eps)
+    reach = reach + 8 * eps * (jnp.abs(middle) + jnp.max(jnp.abs(shift)))
+    return middle - reach, middle + reach, empty
+
+
+def project_boxes(
+    table: Float[Array, "node 96"],
+    travel: Float[Array, "3 3"],
+    shift: Float[Array, " 3"],
+    inverse_range: Float[Array, ""] | None,
+) -> Float[Array, "node 80"]:
+    """Screen rectangles and nearest depths of boxes [node, 5 * 16] of the tree [node, 6 * 16]; conservative."""
+    low, high, empty = extents(table, travel, shift)
+    near = low[:, 2:]
     if inverse_range is not None:
-        least, most = 1 / (1 + far * inverse_range), 1 / (1 + near * inverse_range)
-
-        def seen(low: Array, high: Array) -> tuple[Array, Array]:
-            low, high = jnp.minimum(low * least, low * most), jnp.maximum(high * least, high * most)
-            grow = 4 * eps * (jnp.abs(low) + jnp.abs(high))
-            return low - grow, high + grow
-
-        (x0, x1), (y0, y1), near = seen(x0, x1), seen(y0, y1), near * most
+        eps = jnp.finfo(table.dtype).eps
+        least, most = 1 / (1 + high[:, 2:] * inverse_range), 1 / (1 + near * inverse_range)
+        low, high = jnp.minimum(low * least, low * most), jnp.maximum(high * least, high * most)
+        grow = 4 * eps * (jnp.abs(low) + jnp.abs(high))
+        low, high, near = low - grow, high + grow, near * most
         near = near - 4 * eps * jnp.abs(near)
-    return jnp.concatenate([jnp.where(empty, FAR, lane) for lane in (x0, x1, y0, y1, near)], axis=1)
+    seen = jnp.concatenate([low[:, :1], high[:, :1], low[:, 1:2], high[:, 1:2], near], axis=1)
+    return jnp.where(empty, FAR, seen).reshape(-1, 5 * WIDTH)
 
 
 def search_tile(scene: SeenTree, tile: Tile, side: int, any_hit: bool) -> Array:

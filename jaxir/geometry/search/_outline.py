@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir._math import radius_about
+from jaxir._math import dot, radius_about
 from jaxir.geometry import TILE, Camera
-from jaxir.geometry.search._bundles import project_boxes, travel_of
+from jaxir.geometry.search._bundles import extents, project_boxes, travel_of
 from jaxir.geometry.search._tree import FAR, WIDTH
 
 MARGIN = 1.001  # of a sphere, so that what it holds lies inside it
@@ -30,9 +30,8 @@ def front_of(
     boxes: Float[Array, "row 96"], direction: Float[Array, " 3"], origin: Float[Array, " 3"]
 ) -> Float[Array, ""]:
     """Distance from `origin` along a unit vector that no box exceeds [m]."""
-    travel = jnp.broadcast_to(-direction[None], (3, 3))
-    seen = project_boxes(boxes, travel, travel @ -origin, None)
-    return -jnp.min(seen[:, 4 * WIDTH :])
+    nearest, _, empty = extents(boxes, -direction[None], dot(direction, origin)[None])
+    return -jnp.min(jnp.where(empty, FAR, nearest))
 
 
 def clear_of(boxes: Float[Array, "row 96"], points: Float[Array, "point 3"], camera: Camera) -> Float[Array, ""]:
@@ -53,7 +52,7 @@ def may_see(boxes: Float[Array, "row 96"], camera: Camera, tile: Int[Array, " ti
     """Whether pixels of tiles may see what lies in the boxes: where not, they do not; all where a box is at the eye."""
     before = front_of(boxes, camera.frame[2], camera.target) * camera.inverse_range < NEAREST
     travel = travel_of(camera.frame)
-    seen = project_boxes(boxes, travel, travel @ -camera.target, camera.inverse_range)
+    seen = project_boxes(boxes, travel, dot(travel, -camera.target[None]), camera.inverse_range)
     left, right, bottom, top = (seen[None, :, k * WIDTH : (k + 1) * WIDTH] for k in range(4))
     corner = jnp.zeros((tile.shape[0], TILE * TILE, 2), seen.dtype)
     ends = camera.screen(tile, corner)[:, 0], camera.screen(tile, corner + 1)[:, -1]

@@ -71,7 +71,7 @@ BODIES = {
 }
 
 
-def incoherent(rng, count, radius=5.0):
+def incoherent(rng, count=500, radius=5.0):
     """Rays from a shell through the middle of the scene."""
     origin = rng.normal(size=(count, 3))
     origin *= radius / np.linalg.norm(origin, axis=1, keepdims=True)

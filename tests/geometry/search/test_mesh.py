@@ -94,7 +94,7 @@ def test_gradients_of_a_hit_equal_central_differences(body, route, x64):
     """In the vertices and in the rays; differences with the faces held, because visibility has no derivative."""
     rng = np.random.default_rng(4)
     mesh = Mesh(*body())
-    rays = picture([0.3, -0.8, 0.5], 30.0, size=16) if route == "bundle" else incoherent(rng, 200)
+    rays = picture([0.3, -0.8, 0.5], 30.0) if route == "bundle" else incoherent(rng)
     weights = [as_float(rng.normal(size=(rays.count, length))) for length in (1, 3, 3, 3)]
     still = jax.tree.map(jnp.zeros_like, rays)
     found = closest_hit(mesh, rays)

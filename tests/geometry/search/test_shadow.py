@@ -5,7 +5,7 @@ import pytest
 
 from jaxir.geometry import Rays
 from jaxir.geometry.search import Mesh, any_hit, closest_hit, occluded, occluded_from
-from tests.geometry.search.bodies import Lines, as_float, every_face, fins, picture, sphere, torus
+from tests.geometry.search.bodies import Lines, as_float, as_large_as_soup, every_face, fins, picture, sphere, torus
 
 TOWARDS = np.array([-0.5, 0.25, 0.4]) / np.linalg.norm([-0.5, 0.25, 0.4])
 
@@ -18,11 +18,11 @@ def plates():
     return np.concatenate([corner, corner * [0.5, 0.5, 1] + [0, 0, 1]]), np.concatenate([faces, faces + 8])
 
 
-BODIES = {"torus": torus, "fins": fins, "plates": plates}
+BODIES = {"torus": torus, "fins": as_large_as_soup(fins), "plates": plates}
 
 
 def visible(mesh, distance=np.inf):
-    bundle = picture([0.9, -0.1, 0.7], distance, size=48, width=6.0)
+    bundle = picture([0.9, -0.1, 0.7], distance, width=4.0)
     hit = closest_hit(mesh, bundle)
     return hit, hit.face >= 0
 

@@ -1,12 +1,14 @@
 """Rays aimed at shared vertices and edges, and beside them, of closed, flat and thin meshes."""
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxir.geometry import Bundle, Rays
 from jaxir.geometry.search import Mesh, any_hit, closest_hit
-from tests.geometry.search.bodies import Lines, as_float, every_face, fins, frame, slivers, soup, sphere, torus
+from tests.geometry.search.bodies import BODIES, Lines, as_float, as_large_as_soup, every_face, frame, slivers, sphere
 
 pytestmark = pytest.mark.optimised
 
@@ -124,16 +126,14 @@ def test_seams_of_a_convex_body_are_entered_once_and_left_once(scale):
         assert np.all(crossings(mesh, bundle) == 2)
 
 
-def needles():
-    """Needles 1e-6 as wide as long."""
-    return slivers(300, 1e-6)
+THIN = {"needles": as_large_as_soup(functools.partial(slivers, width=1e-6))}  # 1e-6 as wide as long
 
 
-@pytest.mark.parametrize("body", [sphere, torus, soup, fins, slivers, needles])
+@pytest.mark.parametrize("body", [*BODIES, *THIN])
 def test_rays_beside_seams_meet_what_double_precision_says(body):
     """Without any margin: in float32, hits and misses are those of the given numbers, however near an edge is."""
     rng = np.random.default_rng(5)
-    vertices, faces = body()
+    vertices, faces = (BODIES | THIN)[body]()
     mesh = Mesh(np.asarray(vertices, np.float32), faces)
     exact = np.asarray(mesh.vertices, np.float64)
     target = seams(rng, exact, faces, 600)[-600:]
