@@ -60,7 +60,7 @@ class Observation(eqx.Module):
     """A measurement with the traced paths that predict it.
 
     The prediction of a row is base * L_empty + sum over its rays of weight * (L - L_empty). Rays of the two halves are
-    the two independent points of each stratum of a pixel, so the difference of the halves' sums tells the sampling
+    the two independent sets of points in each pixel, so the difference of the halves' sums tells the sampling
     error, and in each block of the pixels of an intensity it tells it anew.
 
     Attributes:

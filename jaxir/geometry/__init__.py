@@ -45,8 +45,10 @@ from jaxir.geometry._pieces import sample_pieces as sample_pieces
 from jaxir.geometry._pieces import sight_of as sight_of
 from jaxir.geometry._pixels import pixel_samples as pixel_samples
 from jaxir.geometry._pixels import pixel_strata as pixel_strata
+from jaxir.geometry._pixels import places_in as places_in
 from jaxir.geometry._pixels import stratum_points as stratum_points
 from jaxir.geometry._pixels import tile_rays as tile_rays
+from jaxir.geometry._pixels import turns as turns
 from jaxir.geometry._ray import Bundle as Bundle
 from jaxir.geometry._ray import Rays as Rays
 from jaxir.geometry._sampling import AbstractSampler as AbstractSampler

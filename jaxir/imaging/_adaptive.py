@@ -2,11 +2,11 @@
 
 A pilot of few rays, which are not part of the answer, tells how much each pixel varies; an image that places its rays
 by the samples that it averages is biased (Kirk and Arvo, "Unbiased sampling techniques for image synthesis", 1991). The
-variance of a pixel falls with its rays as c / n^a: a = 3/2 where edges cross it (`ErrorLaw`), 1 where lights are
-sampled.
-The sum over pixels is least for a number of rays where one more ray is worth the same in each,
+variance of a pixel falls with its rays as c / n^a: a = 3/2 where edges cross it (`ErrorLaw`), more where it varies as
+smoothly as the pixels about it (`_smooth`), 1 where lights are sampled. The sum over pixels is least for a number of
+rays where one more ray is worth the same in each,
 
-    n_p = (a c_p / mu)^(1 / (1 + a)),    mu so that    sum_p c_p / n_p^a = what is allowed.
+    n_p = (a_p c_p / mu)^(1 / (1 + a_p)),    mu so that    sum_p c_p / n_p^a_p = what is allowed.
 
 Every pixel gets two rays, or strata of its own where n_p is more. What a pixel varies is half its own pilot's, at least
 what edges may do that no ray of it told (`_of_unseen_edges`), and half that of the nine around it: all rays of a pilot
@@ -25,12 +25,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._arrays import placed
 from jaxir._concurrent import each_of
 from jaxir._programs import of_items, program
-from jaxir.geometry import TILE, Camera
+from jaxir.geometry import TILE, Camera, places_in
 from jaxir.imaging._chunks import (
     Estimate,
     Pass,
@@ -51,6 +51,8 @@ LOOKED = 2 * PILOT  # its rays per pixel
 MARGIN = 0.9  # of the error asked for that is aimed at: what the pilot tells is itself uncertain
 ROUNDS = 3  # at most; each decides for the next
 OF_SPOTS = 2**32 - 2  # beside the numbers of passes, for the random numbers of pixels with strata of their own
+SMOOTH = 2.2  # a of a smooth field
+EVEN = {1.5: 0.8, SMOOTH: 0.6}  # c of even points, in that of two rays, see `jaxir.geometry._pixels`
 _HALVINGS = 48
 
 
@@ -114,16 +116,16 @@ class Look(NamedTuple):
     """What a pilot saw.
 
     Attributes:
-        image: of `PILOT` passes of two rays in every pixel.
+        image: of `PILOT` passes of two rays in every pixel, or of more where the target is smaller than one.
         met: whether it is the answer.
         constant: c of c / n^power, the share of the variance allowed that n rays in each pixel bring [row, column].
-        power: a.
+        power: a [row, column].
     """
 
     image: Image
     met: bool
     constant: Float[np.ndarray, "row column"]
-    power: float
+    power: Float[np.ndarray, "row column"]
 
     def strata(self, most: int) -> Int[np.ndarray, "row column"]:
         """See `placement`."""
@@ -144,15 +146,21 @@ def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = N
     return over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh, alone and taken.quick)
 
 
-def looked(first: Pass, goal: Goal, mesh: Mesh | None = None) -> Look:
-    """What a pilot of an image sees; arguments of `adapted`."""
-    power = 1.0 if first.method.needs_key(first.lit.scene) else 1.5
-    passes = [even_image(first, number, mesh=mesh) for number in range(PILOT)]
+def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> Look:
+    """What a pilot of an image sees, of `few` rays per pixel in each pass; other arguments of `adapted`."""
+    passes = [even_image(first, number, few, mesh=mesh) for number in range(PILOT)]
     image = reduce(joined, passes)
     met = goal.excess(image) <= 1 / 3  # few rays tell their own error poorly
-    varied = _of_two_rays(passes)
-    varied = np.maximum(varied, _of_unseen_edges(np.asarray(image.radiance, np.float64), varied))
-    constant = _around((goal.weight(image) * varied).max(axis=-1) * 2**power)
+    varied, mean = _of_a_pass(passes), np.asarray(image.radiance, np.float64)
+    if first.method.needs_key(first.lit.scene):
+        power = np.ones(mean.shape[:2])
+    else:
+        smooth = _smooth(mean, varied * few)
+        power = np.where(smooth, SMOOTH, 1.5)
+        varied = varied * np.where(smooth, EVEN[SMOOTH], EVEN[1.5])[..., None]
+    edges, factor = _of_unseen_edges(mean, varied, few), power[..., None]
+    constant = np.maximum(varied * few**factor, edges * 2**factor)
+    constant = _around((goal.weight(image) * constant).max(axis=-1))
     return Look(image, met, constant, power)
 
 
@@ -187,8 +195,8 @@ def _image_with_strata(first: Pass, number: int, strata: Strata, mesh: Mesh | No
     return image_of_pixels(taken, with_strata(taken, pixels, strata), placed(np.int32(round(mean))))
 
 
-def _of_two_rays(passes: list[Image]) -> Float[np.ndarray, "row column band"]:
-    """Variance of the mean of two rays, by all rays of passes of two: s^2 / 2, as pairs that agree may differ.
+def _of_a_pass(passes: list[Image]) -> Float[np.ndarray, "row column band"]:
+    """Variance of the mean of the rays of a pass, by those of all: both sets of points of one may agree by chance.
 
     With n passes, means m_i and standard errors e_i of pairs it is sum (e_i^2 + (m_i - mean)^2) / (2 n - 1).
     """
@@ -198,23 +206,41 @@ def _of_two_rays(passes: list[Image]) -> Float[np.ndarray, "row column band"]:
 
 
 def _of_unseen_edges(
-    mean: Float[np.ndarray, "row column band"], varied: Float[np.ndarray, "row column band"]
+    mean: Float[np.ndarray, "row column band"], varied: Float[np.ndarray, "row column band"], few: int
 ) -> Float[np.ndarray, "row column band"]:
     """Variance of the mean of two rays by edges that no ray of the pilot told.
 
     Where a pixel differs from one of the eight around it by d and neither of them varies, an edge lies in one of both
-    beside all of its n = 2 `PILOT` rays. In it rays vary by f (1 - f) d^2, f being the share on one side, to which f^n
-    tells: by (n + 1) / ((n + 2) (n + 3)) d^2 in the mean, 9 / 110. If a ray of one of the two lay on the other side,
-    its variance is more than d^2 / n, and the edge was seen.
+    beside all of its n = `PILOT` few rays. In it rays vary by f (1 - f) d^2, f being the share on one side, to which
+    f^n tells: by (n + 1) / ((n + 2) (n + 3)) d^2 in the mean, 9 / 110 where n is 8. If a ray of one of the two lay on
+    the other side, its variance is more than d^2 / n, and the edge was seen.
 
     Args:
         mean: what the pilot saw.
-        varied: variance of the mean of two rays, by what it saw.
+        varied: variance of the mean of a pass, by what it saw.
+        few: rays in a pixel of a pass.
     """
-    unseen = np.zeros_like(mean)
+    rays, unseen = PILOT * few, np.zeros_like(mean)
     for other, theirs in zip(_nine(mean), _nine(varied), strict=True):
-        unseen = np.maximum(unseen, (mean - other) ** 2 - 2 * LOOKED * (varied + theirs))
-    return unseen * (LOOKED + 1) / ((LOOKED + 2) * (LOOKED + 3)) / 4  # of two rays, in one of both
+        unseen = np.maximum(unseen, (mean - other) ** 2 - few * rays * (varied + theirs))
+    return unseen * (rays + 1) / ((rays + 2) * (rays + 3)) / 4  # of two rays, in one of both
+
+
+def _smooth(
+    mean: Float[np.ndarray, "row column band"], varied: Float[np.ndarray, "row column band"]
+) -> Bool[np.ndarray, "row column"]:
+    """Where rays vary no more, in any band, than twice what the slope does that the pixels on both sides tell.
+
+    A slope of g in each pixel makes g^2 / 12. An edge makes f (1 - f) d^2 where they tell d / 2, twelve times as much
+    at its worst, and no more than twice as much only where it leaves less than a twentieth f of the pixel.
+
+    Args:
+        mean: what a pilot saw.
+        varied: variance of a ray, by what it saw.
+    """
+    padded = np.pad(mean, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    down, along = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2, (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2
+    return np.all(varied <= (down**2 + along**2) / 6, axis=-1)
 
 
 def _around(constant: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
@@ -229,7 +255,9 @@ def _nine(values: Float[np.ndarray, "row column *more"]) -> Iterator[Float[np.nd
     return (padded[i : i + rows, j : j + columns] for i, j in np.ndindex(3, 3))
 
 
-def placement(constant: Float[np.ndarray, "row column"], power: float, most: int) -> Int[np.ndarray, "row column"]:
+def placement(
+    constant: Float[np.ndarray, "row column"], power: Float[np.ndarray, "row column"], most: int
+) -> Int[np.ndarray, "row column"]:
     """Strata of two rays in each pixel, in rows and columns nearly square; 1 for what two rays in the pixel do.
 
     Args:
@@ -237,23 +265,23 @@ def placement(constant: Float[np.ndarray, "row column"], power: float, most: int
         power: a.
         most: rays in a pixel at most.
     """
-    varied = constant[constant > 0]
+    varied, own = constant[constant > 0], power[constant > 0]
     if varied.size == 0:
         return np.ones(constant.shape, np.int64)
-    shape = varied ** (1 / (1 + power))
+    worth = own * varied
 
     def strata(scale: float) -> np.ndarray:
-        return well_shaped_strata(np.minimum(scale * shape / 2, most / 2))
+        return well_shaped_strata(np.minimum((scale * worth) ** (1 / (1 + own)) / 2, most / 2))
 
-    low, high = 0.0, most / shape.min()
+    low, high = (np.log(2.0 ** (1 + own) / worth).min(), np.log(float(most) ** (1 + own) / worth).max())
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        allowed = (varied / (2.0 * strata(middle)) ** power).sum() <= MARGIN**2
+        allowed = (varied / (2.0 * strata(np.exp(middle))) ** own).sum() <= MARGIN**2
         low, high = (low, middle) if allowed else (middle, high)
-        if high - low < 1e-3 * high:
+        if high - low < 1e-3:
             break
     count = np.ones(constant.shape, np.int64)
-    count[constant > 0] = strata(high)
+    count[constant > 0] = strata(np.exp(high))
     return count
 
 
@@ -306,7 +334,8 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
             done(1)
     if sums is None:
         return base
-    seen, square = sums
+    seen, apart = sums
+    apart = jax.tree.map(np.square, apart)
 
     def mixed(image: Any, own: np.ndarray | None, divisor: np.ndarray) -> Any:
         if own is None:
@@ -317,11 +346,11 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
 
     return Estimate(
         mixed(base.mean, seen.radiance, count),
-        mixed(base.variance, square.radiance, count**2.0),
+        mixed(base.variance, apart.radiance, count**2.0),
         mixed(base.empty, seen.empty, count),
         mixed(base.orders, seen.orders, count),
         mixed(base.parts, seen.parts, count),
-        mixed(base.parts_variance, square.parts, count**2.0),
+        mixed(base.parts_variance, apart.parts, count**2.0),
     )
 
 
@@ -347,17 +376,19 @@ def _in_chunks(strata: Strata, end: np.ndarray, size: int) -> Iterator[tuple[np.
 
 @program
 def _seen_at(taken: Pass, chunk: tuple[Spots, Array]) -> tuple[Seen, Varied]:
-    """Mean of two rays in each stratum of a chunk with its number, and a quarter of their squared difference."""
+    """Mean of two rays in each stratum of a chunk with its number, and half their difference."""
     camera, (spots, number) = taken.camera, chunk
-    own = jax.random.fold_in(jax.random.fold_in(jax.random.fold_in(taken.key, OF_SPOTS), taken.number), number)
-    for_places, for_paths = jax.random.split(own)
-    word = jax.random.bits(for_places, (spots.row.shape[0], 2), jnp.uint32)
-    dtype = camera.pixel.dtype
-    jitter = (jnp.stack([word >> 16, word & 0xFFFF], axis=-1).astype(dtype) + 0.5) / 65536
-    place = (spots.corner.astype(dtype)[:, None] + jitter) / spots.cells.astype(dtype)[:, None]
+    own = jax.random.fold_in(jax.random.fold_in(taken.key, OF_SPOTS), taken.number)
+    for_pixels, for_spots = jax.random.split(own)
+    for_places, for_paths = jax.random.split(jax.random.fold_in(for_spots, number))
+    of_pixel = jax.vmap(jax.random.fold_in, (None, 0))(for_pixels, spots.row * camera.shape[1] + spots.column)
+    turn = jax.vmap(lambda key: jax.random.bits(key, (2,), jnp.uint32))(of_pixel)
+    word = jax.random.bits(for_places, turn.shape, jnp.uint32)
+    corner, cells = ([part[:, k, None] for k in range(part.shape[1])] for part in (spots.corner, spots.cells))
+    place = places_in(corner, cells, turn, word, jnp.max(spots.cells))
     screen = camera.points(spots.row[:, None], spots.column[:, None], place)
     bundle = camera.bundle(screen.reshape(-1, 2), taken.lit.scene.start(camera))
     seen = jax.tree.map(lambda value: value.reshape((-1, 2, *value.shape[1:])), see(taken, bundle, for_paths))
     mean = jax.tree.map(lambda value: (value[:, 0] + value[:, 1]) / 2, seen)
     two = Varied(seen.radiance, seen.parts)
-    return mean, jax.tree.map(lambda value: (value[:, 0] - value[:, 1]) ** 2 / 4, two)
+    return mean, jax.tree.map(lambda value: (value[:, 0] - value[:, 1]) / 2, two)

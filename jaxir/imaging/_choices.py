@@ -7,11 +7,13 @@ import time
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from jaxir._arrays import enforce, require
 from jaxir._programs import program
-from jaxir.geometry import AbstractSampler, Sobol
+from jaxir.geometry import AbstractSampler, Camera, Sobol
 from jaxir.imaging._adaptive import LOOKED, Goal, Look, looked
 from jaxir.imaging._adaptive import MARGIN as AIMED
 from jaxir.imaging._chunks import Pass
@@ -28,6 +30,7 @@ from jaxir.transport import (
 )
 
 FEW = 2  # rays per pixel of the first pilots
+MET = 64  # rays of an image that go where the scene may be seen, at least
 MORE = (12, 128)  # at least and at most, of the second
 LEAST_GROWTH = 0.25  # share of a pilot's time that its rays take at least: clocks are coarse, other work disturbs
 FEW_ORDERS = 2  # of scattering, tried first
@@ -43,7 +46,7 @@ class Trial(NamedTuple):
     """One way to find light: a pass by it, what its pilot found, and what came before.
 
     Attributes:
-        first: a pass of `FEW` rays per pixel.
+        first: a pass of few rays per pixel, see `few_rays`.
         pilot: of it.
         truncation: share of the intensity that is left out of what particles scatter, of the worst band.
         solving: seconds until the light in the plumes was solved for, which later images of the scene do not spend.
@@ -58,13 +61,33 @@ class Trial(NamedTuple):
     def method(self) -> Method:
         return self.first.method
 
+    @property
+    def few(self) -> int:
+        """Rays per pixel of the pilot."""
+        return self.first.samples
+
     def law(self) -> ErrorLaw:
         """As if all variance were that of lights."""
-        return ErrorLaw(self.pilot.variance * FEW, np.zeros_like(self.pilot.variance))
+        return ErrorLaw(self.pilot.variance * self.few, np.zeros_like(self.pilot.variance))
+
+
+def few_rays(first: Pass, most: int) -> int:
+    """Rays per pixel of first pilots, at most `most`: few may miss a target smaller than a pixel, as if it was dark."""
+    filled = float(_pixels_filled(first.lit.scene, first.camera))
+    wanted = MET / filled if filled > 0 else 0.0
+    return next((count for count in well_shaped(most) if count >= max(wanted, FEW)), well_shaped(most)[-1])
+
+
+@program
+def _pixels_filled(scene: Scene, camera: Camera) -> Array:
+    """How many pixels of an image the rectangle covers that holds the scene."""
+    corner, half = camera.project(scene.extent()), camera.half_size()
+    low, high = (jnp.clip(end, -half, half) for end in (corner.min(axis=0), corner.max(axis=0)))
+    return jnp.prod((high - low) / camera.pixel)
 
 
 def trials_of(first: Pass, rtol: float, most: int, asked: bool) -> list[Trial]:
-    """Ways to find the light of a pass of `FEW` rays per pixel; one where the method is `asked` for."""
+    """Ways to find the light of a pass of few rays per pixel; one where the method is `asked` for."""
     scene = first.lit.scene
     if asked:
         return [_trial(first)]
@@ -90,7 +113,7 @@ def _ways_to_scatter(first: Pass, rtol: float, most: int) -> list[Trial]:
     for orders in sorted({min(FEW_ORDERS, first.method.orders), first.method.orders}):
         trials.append(_trial(first._replace(method=dataclasses.replace(first.method, orders=orders))))
         if trials[-1].truncation <= rtol:
-            choice = _choice(trials[-1], trials[-1].law(), 1 / FEW, rtol, most)
+            choice = _choice(trials[-1], trials[-1].law(), 1 / first.samples, rtol, most)
             if choice.expected <= rtol and choice.seconds < SOON:
                 return trials
             break
@@ -163,37 +186,40 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
 
 def cheapest(trials: list[Trial], rtol: float, most: int) -> Choice:
     """First as if all variance were that of lights; then with the silhouettes' share, from a second pilot."""
-    choices = [_choice(trial, trial.law(), 1 / FEW, rtol, most) for trial in trials]
+    few = trials[0].few
+    choices = [_choice(trial, trial.law(), 1 / few, rtol, most) for trial in trials]
     best = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
     chosen = choices[best]
-    if chosen.samples == FEW:
+    if chosen.samples == few:
         return chosen
-    count = well_shaped(min(max(chosen.samples // 4, MORE[0]), MORE[1]))[-1]
+    least, largest = (max(count, 2 * few) for count in MORE)
+    count = well_shaped(min(max(chosen.samples // 4, least), largest))[-1]
     more = pilot(trials[best].first.of(count))
-    edge = error_law((FEW, trials[best].pilot), (count, more)).edge
+    edge = error_law((few, trials[best].pilot), (count, more)).edge
     little = trials[best].pilot.seconds
-    each = (more.seconds - little) / (count - FEW)
-    alike = little - FEW * each  # what an image costs, however light is found
+    each = (more.seconds - little) / (count - few)
+    alike = little - few * each  # what an image costs, however light is found
     choices = []
     for trial in trials:
-        samples, seen = (count, more) if trial is trials[best] else (FEW, trial.pilot)
+        samples, seen = (count, more) if trial is trials[best] else (few, trial.pilot)
         noise = np.maximum(seen.variance * samples - edge / samples**0.5, 0)
-        growth = max(1 - alike / trial.pilot.seconds, LEAST_GROWTH) / FEW
+        growth = max(1 - alike / trial.pilot.seconds, LEAST_GROWTH) / few
         choices.append(_choice(trial, ErrorLaw(noise, edge), growth, rtol, most))
     least = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
     if least != best:
         return choices[least]
-    growth = max(each / little, LEAST_GROWTH / (count - FEW))  # was timed with more rays
+    growth = max(each / little, LEAST_GROWTH / (count - few))  # was timed with more rays
     return _choice(trials[best], choices[best].law, growth, rtol, most)
 
 
 def where_it_varies(chosen: Choice, rtol: float, most: int) -> tuple[Choice, Look | None]:
     """The choice with its rays where pixels vary, where that takes fewer of them, pilot included; what the pilot saw.
 
-    The pilot is `LOOKED` rays in every pixel: few, where `EVEN` do not suffice. Of `LITTLE` work none is saved.
+    The pilot is `LOOKED` rays in every pixel: few, where `EVEN` do not suffice, unless the target is smaller than a
+    pixel. Of `LITTLE` work none is saved.
     """
     first = chosen.trial.first
-    if chosen.samples <= EVEN or first.work(chosen.samples) <= LITTLE:
+    if chosen.samples <= EVEN or first.work(chosen.samples) <= LITTLE or first.samples > LOOKED:
         return chosen, None
     began = time.perf_counter()
     look = looked(first, Goal(rtol, None))
@@ -213,8 +239,8 @@ def _cost(choice: Choice, rtol: float) -> tuple[bool, float, float]:
 def _choice(trial: Trial, law: ErrorLaw, growth: float, rtol: float, most: int) -> Choice:
     """Rays per pixel and time that a method needs; `growth` of the time with each ray more, in that of a pilot."""
     intensity = np.abs(trial.pilot.intensity)
-    samples = law.samples((MARGIN * rtol * intensity) ** 2, most)
+    samples = max(law.samples((MARGIN * rtol * intensity) ** 2, most), trial.few)
     error = np.sqrt(law.variance(samples))
     expected = float(np.max(np.divide(error, intensity, out=np.full_like(error, np.inf), where=intensity > 0)))
-    seconds = trial.pilot.seconds * (1 + growth * (samples - FEW))
+    seconds = trial.pilot.seconds * (1 + growth * (samples - trial.few))
     return Choice(trial, law, samples, seconds, expected if error.any() else 0.0)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int, Key
 from jaxir._arrays import Check, as_float, enforce, is_traced, on_host, placed
 from jaxir._math import in_kernels
 from jaxir._programs import program
-from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays
+from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays, turns
 from jaxir.geometry.search import may_see
 from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes
@@ -112,6 +112,11 @@ class Pass(NamedTuple):
     parts: int = PARTS
     components: Components | None = None
 
+    @property
+    def samples(self) -> int:
+        """Rays per pixel; of known ones."""
+        return 2 * int(np.prod(np.asarray(self.strata.cells)))
+
     def of(self, samples: int) -> Pass:
         """The same with other rays per pixel."""
         return self._replace(strata=division(samples, not isinstance(self.strata.cells, tuple)))
@@ -158,7 +163,7 @@ class Pass(NamedTuple):
     @property
     def quick(self) -> bool:
         """Whether to call a program for each chunk would take a share of the image's time that matters."""
-        return self.work(2 * int(np.prod(np.asarray(self.strata.cells)))) <= QUICK
+        return self.work(self.samples) <= QUICK
 
     def work(self, samples: int) -> int:
         """Rays of an image of so many in each pixel, times nodes and what a ray counts for."""
@@ -254,7 +259,7 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
 
     Before a uniform background no ray is taken in tiles that see nothing of the scene.
     """
-    lit, camera, key = taken.lit, taken.camera, taken.key
+    lit, camera = taken.lit, taken.camera
     uniform = taken.uniform
     empty = lit.nodes.in_band(lit.empty(camera.frame[:1, None])) if uniform else None
     tile, together, start = taken.tile(chunk), taken.tiles_at_once, lit.scene.start(camera)
@@ -262,7 +267,7 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     order = jnp.argsort(~some, stable=True)  # tiles that see something go together
 
     def block(own: tuple[Array, Array, Array]) -> tuple[Seen, Varied]:
-        tile, key, some = own
+        tile, number, some = own
 
         def nothing() -> tuple[Seen, Varied]:
             dark = _dark(taken, empty)
@@ -273,13 +278,12 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
             return dark._replace(radiance=dark.radiance + empty, parts=parts), Varied(dark.radiance, dark.parts)
 
         if not uniform:
-            return _estimate(taken, tile, key, start, empty)
-        return lax.cond(some, lambda: _estimate(taken, tile, key, start, empty), nothing)
+            return _estimate(taken, tile, key, number, start, empty)
+        return lax.cond(some, lambda: _estimate(taken, tile, key, number, start, empty), nothing)
 
-    blocks = (-1, together)
-    own = jax.random.fold_in(jax.random.fold_in(key, taken.number), chunk)
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(own, jnp.arange(tile.shape[0] // together, dtype=jnp.uint32))
-    every = lax.map(block, (tile[order].reshape(blocks), keys, jnp.any(some[order].reshape(blocks), axis=1)))
+    blocks, number = (-1, together), jnp.arange(tile.shape[0] // together, dtype=jnp.int32)
+    key = jax.random.fold_in(jax.random.fold_in(taken.key, taken.number), chunk)
+    every = lax.map(block, (tile[order].reshape(blocks), number, jnp.any(some[order].reshape(blocks), axis=1)))
     back = jnp.argsort(order)
     mean, variance = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:]))[back], every)
     seen = mean.empty if empty is None else empty
@@ -297,20 +301,29 @@ def _dark(taken: Pass, empty: Array | None) -> Seen:
 
 
 def _estimate(
-    taken: Pass, tile: Int[Array, " tile"], own: Key[Array, ""], start: Float[Array, ""], empty: Array | None
+    taken: Pass,
+    tile: Int[Array, " tile"],
+    key: Key[Array, ""],
+    number: Int[Array, ""],
+    start: Float[Array, ""],
+    empty: Array | None,
 ) -> tuple[Seen, Varied]:
-    """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all."""
-    camera, count, size, some = taken.camera, taken.strata.count, tile.shape[0], taken.strata_at_once
-    for_pixels, for_paths = jax.random.split(own)
+    """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all.
 
-    def group(number: Array, carry: tuple[Seen, Varied]) -> tuple[Seen, Varied]:
-        first = number.astype(jnp.int32) * some
+    `number` of the tiles tells their random numbers from those of others with the same key.
+    """
+    camera, count, size, some = taken.camera, taken.strata.count, tile.shape[0], taken.strata_at_once
+    turn = turns(jax.random.fold_in(key, -1 - number), size)
+
+    def group(step: Array, carry: tuple[Seen, Varied]) -> tuple[Seen, Varied]:
+        first = step.astype(jnp.int32) * some
+        for_pixels, for_paths = jax.random.split(jax.random.fold_in(key, number * count + first))
         index = first + jnp.arange(some, dtype=jnp.int32)
-        offset = stratum_points(jax.random.fold_in(for_pixels, first), index, size, taken.strata.cells)
+        offset = stratum_points(for_pixels, turn, index, taken.strata.cells)
         bundle = tile_rays(camera, tile, offset, start)
         seen = jax.tree.map(
             lambda value: value.reshape((size, TILE * TILE, some, 2, *value.shape[1:])),
-            see(taken, bundle, jax.random.fold_in(for_paths, first)),
+            see(taken, bundle, for_paths),
         )
 
         def added(value: Array) -> Array:
@@ -319,15 +332,14 @@ def _estimate(
 
         mean = jax.tree.map(lambda value: added((value[:, :, :, 0] + value[:, :, :, 1]) / 2), seen)
         two = Varied(seen.radiance, seen.parts)
-        apart = jax.tree.map(lambda value: added((value[:, :, :, 0] - value[:, :, :, 1]) ** 2) / 4, two)
-        total, square = carry
-        return jax.tree.map(jnp.add, total, mean), jax.tree.map(jnp.add, square, apart)
+        apart = jax.tree.map(lambda value: added((value[:, :, :, 0] - value[:, :, :, 1]) / 2), two)
+        return jax.tree.map(jnp.add, carry, (mean, apart))
 
     dark = _dark(taken, empty)
     none = dark, Varied(dark.radiance, dark.parts)
-    total, square = lax.fori_loop(0, -(-count // some), group, none)  # which can be turned round if the end is static
+    total, apart = lax.fori_loop(0, -(-count // some), group, none)  # which can be turned round if the end is static
     share = 1 / as_float(count)
-    return jax.tree.map(lambda sum: sum * share, total), jax.tree.map(lambda sum: sum * share**2, square)
+    return jax.tree.map(lambda sum: sum * share, total), jax.tree.map(lambda sum: (sum * share) ** 2, apart)
 
 
 class Seen(NamedTuple):

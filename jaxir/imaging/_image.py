@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxir._math import safe_sqrt
@@ -15,6 +16,8 @@ from jaxir.geometry import Camera
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._left_out import Asked
 from jaxir.transport import AIR, BACKGROUND
+
+FEW_PIXELS = 16  # of which a sum tells its error to a fifth
 
 
 class Outcome(eqx.Enumeration):
@@ -198,6 +201,17 @@ def image_of(
 def meets(image: Image, rtol: float) -> bool:
     """Whether the standard error of the intensity of every band is at most `rtol` of it."""
     return bool((image.intensity_error() <= rtol * jnp.abs(image.radiant_intensity())).all())
+
+
+def few_tell(image: Image) -> bool:
+    """Whether the error of an intensity is that of few pixels, of which each tells its own by one difference.
+
+    Of a sum of squares v_p of normal differences about 3 (sum v_p)^2 / sum v_p^2 tell: so many as there are, if alike.
+    """
+    area = np.asarray(image.camera.pixel_area(), np.float64)[:, :, None]
+    square = (area * np.asarray(image.standard_error, np.float64)) ** 2
+    total, among = square.sum(axis=(0, 1)), (square**2).sum(axis=(0, 1))
+    return bool((3 * total**2 < FEW_PIXELS * among).any())
 
 
 def joined(image: Image, more: Image) -> Image:

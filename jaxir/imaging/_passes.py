@@ -12,11 +12,11 @@ from jaxtyping import Array, Key
 
 from jaxir._arrays import is_traced, key_or_default
 from jaxir.geometry import Camera
-from jaxir.imaging._adaptive import Goal, adapted, even_image, looked
-from jaxir.imaging._choices import FEW
+from jaxir.imaging._adaptive import PILOT, Goal, adapted, even_image, looked
+from jaxir.imaging._choices import FEW, few_rays
 from jaxir.imaging._chunks import PARTS, Pass, first_pass
 from jaxir.imaging._devices import shared_by
-from jaxir.imaging._image import Image, Outcome, joined, meets
+from jaxir.imaging._image import Image, Outcome, few_tell, joined, meets
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._pilot import well_shaped
 from jaxir.imaging._planning import plan_pass
@@ -42,13 +42,14 @@ def render(
 ) -> Image:
     """Radiance image of a scene.
 
-    Every pixel is cut into samples / 2 strata and each stratum gets two random points, so that half their squared
-    difference is an unbiased estimate of its variance:
+    Every pixel is cut into samples / 2 strata, and each stratum gets a point of each of two independent sets, whose
+    points keep apart along both axes (`jaxir.geometry._pixels`). So with A and B the means over the sets
 
-        L = mean_k (a_k + b_k) / 2,      se^2 = sum_k (a_k - b_k)^2 / 4 / strata^2.
+        L = (A + B) / 2,      se^2 = (A - B)^2 / 4,
 
-    Everything along a ray is exact, so a pixel that sees a uniform field has a standard error of 0. The variance over
-    strata of a smooth field falls as samples^-2, across a silhouette as samples^-3/2. Light from area sources and
+    without bias: of one pixel as uncertain as one difference is, of a sum over pixels the surer the more they are.
+    Everything along a ray is exact, so a pixel that sees a uniform field has a standard error of 0. The variance of a
+    smooth field falls as samples^-2 or faster, across a silhouette as samples^-3/2. Light from area sources and
     bounces is sampled anew, independently, at every point, so the standard error counts it.
 
     Args:
@@ -114,18 +115,22 @@ def render(
 
     if pixel_rtol is not None or look is not None:
         if look is None or (look.met and first.components is not None):  # the answer, of which no parts were asked
-            look = looked(first, goal, mesh)
+            look = looked(first, goal, mesh, max(2, well_shaped(few_rays(first, max_samples) // PILOT)[-1]))
         return ended(*adapted(first, goal, look, max_samples, mesh))
     image = even_image(first, 0, samples, mesh, alone=rtol is None)
     if rtol is None:
         return ended(image, None)
-    passes = [image]
+    passes, few = [image], few_rays(first, max_samples)
+
+    def foretold(image: Image) -> bool:
+        return planned and not few_tell(image)
 
     def enough() -> bool:
-        return meets(image, rtol) and (planned or not by_luck(passes, image, rtol))
+        seen = int(image.samples) >= few  # what is smaller than a pixel may have been missed
+        return seen and meets(image, rtol) and (foretold(image) or not by_luck(passes, image, rtol))
 
     while not enough() and int(image.samples) + samples <= max_samples:
-        more = top_up(image, rtol, samples) if planned else samples
+        more = top_up(image, rtol, samples) if foretold(image) else samples
         passes.append(even_image(first, len(passes), more, mesh))
         image = joined(image, passes[-1])
     return ended(image, enough())

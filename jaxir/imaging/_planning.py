@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from jaxir._arrays import float_dtype, is_traced, key_or_default
+from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default
+from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import LOOKED, Look
-from jaxir.imaging._choices import FEW, Choice, Trial, cheapest, trials_of, where_it_varies
+from jaxir.imaging._choices import FEW, Choice, Trial, cheapest, few_rays, trials_of, where_it_varies
 from jaxir.imaging._chunks import Pass, first_pass
 from jaxir.imaging._repeated import require_rtol
 from jaxir.optics.spectrum import Band, Nodes
@@ -105,7 +106,7 @@ def plan(
 
 
 def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> tuple[Plan, Look | None]:
-    """`plan` for a pass of `FEW` rays per pixel that was checked, and what tells where its rays go, if not everywhere.
+    """`plan` for a pass that was checked, and what tells where its rays go, if not everywhere.
 
     Args:
         first: the pass.
@@ -113,7 +114,7 @@ def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> tuple[Plan, L
         most: its `max_samples`.
         asked: whether the method is not to be chosen.
     """
-    scene = first.lit.scene
+    scene, first = first.lit.scene, first.of(few_rays(first, most))
     trials = trials_of(first, rtol, most, asked)
     chosen, look = where_it_varies(cheapest(trials, rtol, most), rtol, most)
     trial = chosen.trial
@@ -161,13 +162,12 @@ def _way(method: Method) -> str:
     return f"{lattice}, what it errs sampled up to {orders} times" if orders else f"{lattice}, without samples"
 
 
+@program
 def _depth(lit: Lit, camera: Camera) -> Array:
     """The largest optical depth on a raster of 16 x 16 rays across the image."""
     assert lit.medium is not None
-    place = (np.arange(16) + 0.5) / 16 - 0.5
-    size = np.asarray(camera.pixel) * np.array(camera.shape[::-1])
-    x, y = np.meshgrid(place * size[0], place * size[1])
-    screen = jnp.asarray(np.stack([x.ravel(), y.ravel()], axis=1), camera.pixel.dtype)
+    place = (np.arange(16) + 0.5) / 8 - 1
+    screen = as_float(np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)) * camera.half_size()[None]
     rays = camera.bundle(screen, lit.scene.start(camera)).rays()
     passed = lit.medium.transmittance(rays, jnp.full(rays.count, jnp.inf, screen.dtype))
     return -jnp.log(jnp.maximum(jnp.min(passed), jnp.finfo(passed.dtype).tiny))

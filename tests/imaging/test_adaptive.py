@@ -9,12 +9,10 @@ from jaxir.imaging import _choices
 from jaxir.imaging._adaptive import MARGIN, placement, strata_of, well_shaped_strata
 from tests.scenes import box_mesh
 
-pytestmark = pytest.mark.optimised
-
-CAMERA = jaxir.orthographic_camera(35.0, 25.0, 0.08, (40, 40))
-SUN = jaxir.ParallelSource((-0.6, 0.0, -0.8), 40.0)
+CAMERA = jaxir.orthographic_camera(35.0, 25.0, 0.08, (32, 32))
+WARM = np.repeat([310.0, 320, 330, 315, 335, 325], 2)  # sides that differ
 PLUME = jaxir.GridPlume(jaxir.Grid((-1.5, -0.4, -0.4), (0.4, 0.4, 0.4), (2, 2, 2)), 500.0, jaxir.GrayGas(0.8))
-SCENE = jaxir.Scene(jaxir.Skin(box_mesh(), 320.0, jaxir.Lambert(0.7)), PLUME, SUN)
+SCENE = jaxir.Scene(jaxir.Skin(box_mesh(), WARM, jaxir.Lambert(0.7)), PLUME)
 
 
 def rendered(key, **asked):
@@ -24,14 +22,14 @@ def rendered(key, **asked):
 def test_neither_the_pixels_nor_their_sum_are_biased_and_the_errors_are_those_told():
     truth = rendered(1000, pixel_rtol=1e-3, max_samples=2**16)
     contrast = np.asarray(truth.radiance - truth.empty)[..., 0]
-    images = [rendered(key, pixel_rtol=1e-2) for key in range(60)]
+    images = [rendered(key, pixel_rtol=1e-2) for key in range(40)]
     assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
     intensity = np.array([image.radiant_intensity()[0] for image in images], float)
     error = np.array([image.intensity_error()[0] for image in images], float)
     known = float(truth.intensity_error()[0])
     off = intensity.mean() - float(truth.radiant_intensity()[0])
     assert abs(off) < 4 * np.hypot(intensity.std(ddof=1) / len(images) ** 0.5, known)
-    assert 0.75 < intensity.std(ddof=1) / np.sqrt(np.mean(error**2)) < 1.3  # 60 keys: standard deviation .09
+    assert 0.75 < intensity.std(ddof=1) / np.sqrt(np.mean(error**2)) < 1.3  # 40 keys: standard deviation .11
     apart = np.array([np.asarray(image.radiance)[..., 0] for image in images]) - np.asarray(truth.radiance)[..., 0]
     obtained = np.sqrt((apart**2)[:, contrast > 0].mean()) / contrast[contrast > 0].mean()
     assert 0.5e-2 < obtained < 1e-2
@@ -46,17 +44,18 @@ def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch)
     """As the plan says, without bias, as exact as asked, and with a part of the rays of an even image."""
     even = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4)
     monkeypatch.setattr(_choices, "LITTLE", 0)
+    monkeypatch.setattr(_choices, "MORE", (12, 32))  # of a pilot that every image takes
     plan = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4)
     assert even.samples > _choices.EVEN and plan.samples < even.samples / 3
     assert "rays each in the mean, 8 of them to find where the others are needed" in str(plan)
-    images = [rendered(key, rtol=3e-4) for key in range(40)]
+    images = [rendered(key, rtol=3e-4) for key in range(24)]
     assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
     assert abs(np.mean([int(image.samples) for image in images]) + 8 - plan.samples) < 3
     truth = rendered(1000, pixel_rtol=1e-3, max_samples=2**16)
     intensity = np.array([image.radiant_intensity()[0] for image in images], float)
     known = float(truth.radiant_intensity()[0])
     spread, told = intensity.std(ddof=1), np.sqrt(np.mean([float(i.intensity_error()[0]) ** 2 for i in images]))
-    assert 0.7 < spread / told < 1.35 and told <= 3e-4 * known  # 40 keys: standard deviation .11
+    assert 0.7 < spread / told < 1.35 and told <= 3e-4 * known  # 24 keys: standard deviation .15
     assert told > 0.5 * 3e-4 * known
     apart = np.hypot(spread / len(images) ** 0.5, float(truth.intensity_error()[0]))
     assert abs(intensity.mean() - known) < 4 * apart
@@ -68,9 +67,9 @@ def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch)
 def test_edges_that_lie_along_pixels_are_not_missed():
     """A box whose edge takes a fifth of every pixel of a column: eight rays of a pilot miss it in some, two in most."""
     scene = jaxir.Scene(jaxir.Skin(box_mesh(), 320.0, jaxir.Lambert(0.7)))
-    camera = jaxir.orthographic_camera(0.0, 0.0, 1 / 14.4, (24, 24))  # square to the eye, 14.4 pixels wide
+    camera = jaxir.orthographic_camera(0.0, 0.0, 1 / 14.4, (16, 16))  # square to the eye, 14.4 pixels wide
     exact = float(jaxir.unoccluded_intensity(scene, 0.0, 0.0, jaxir.MWIR)[0])
-    images = [jaxir.render(scene, camera, jaxir.MWIR, pixel_rtol=3e-3, key=jax.random.key(key)) for key in range(60)]
+    images = [jaxir.render(scene, camera, jaxir.MWIR, pixel_rtol=3e-3, key=jax.random.key(key)) for key in range(30)]
     apart = np.array([float(image.radiant_intensity()[0]) / exact - 1 for image in images])
     told = np.sqrt(np.mean([(float(image.intensity_error()[0]) / exact) ** 2 for image in images]))
     assert np.sqrt(np.mean(apart**2)) < 1.3 * told  # twice as much where edges that were not seen count for nothing
@@ -78,31 +77,30 @@ def test_edges_that_lie_along_pixels_are_not_missed():
 
 
 def test_rays_lie_where_the_error_is():
-    adaptive, even = rendered(1, pixel_rtol=1e-2), rendered(1, samples=288)
+    adaptive, even = rendered(1, pixel_rtol=1e-2), rendered(1, samples=128, rtol=0.1)
     error = [np.sqrt((np.asarray(i.standard_error) ** 2).sum()) for i in (adaptive, even)]
-    assert error[0] < error[1] and int(adaptive.samples) < 288 / 6
+    assert error[0] < error[1] and int(adaptive.samples) < 128 / 6
 
 
 def test_a_scene_without_variance_takes_no_more_than_the_pilot():
     clear = jaxir.GridPlume(PLUME.grid, 500.0, jaxir.GrayGas(0.0))
-    close = jaxir.orthographic_camera(35.0, 25.0, 1e-3, (40, 40), target=(0.5, 0.0, 0.0))  # one face fills the frame
-    image = jaxir.render(jaxir.Scene(SCENE.skin, clear, SUN), close, jaxir.MWIR, pixel_rtol=1e-3)
+    close = jaxir.orthographic_camera(35.0, 25.0, 1e-3, (32, 32), target=(0.5, 0.0, 0.0))  # one face fills the frame
+    image = jaxir.render(jaxir.Scene(SCENE.skin, clear), close, jaxir.MWIR, pixel_rtol=1e-3)
     assert bool(image.outcome == jaxir.Outcome.tolerance_met) and int(image.samples) == 8
     assert float(image.radiance.min()) > 0
-    cold = jaxir.Skin(SCENE.skin.mesh, 1.0, jaxir.Lambert(0.7))  # nothing at all in the MWIR
-    dark = jaxir.Scene(cold, clear, jaxir.ParallelSource(SUN.direction, 0.0))
-    assert float(jaxir.render(dark, CAMERA, jaxir.MWIR, pixel_rtol=1e-3).radiance.max()) == 0
+    cold = jaxir.Skin(SCENE.skin.mesh, np.ones(12), jaxir.Lambert(0.7))  # nothing at all in the MWIR
+    assert float(jaxir.render(jaxir.Scene(cold, clear), CAMERA, jaxir.MWIR, pixel_rtol=1e-3).radiance.max()) == 0
 
 
 def test_what_comes_with_the_radiance_is_averaged_by_the_same_rays():
     """A sky that is not even, and orders of scattering."""
     sky = jaxir.ElevationTable([-90.0, 0.0, 90.0], [[5.0], [4.0], [1.0]])
     cloud = jaxir.GrayParticles(0.5, 0.8, jaxir.Isotropic())
-    scene = jaxir.Scene(None, jaxir.GridPlume(PLUME.grid, 500.0, PLUME.gas, cloud), SUN, sky)
-    camera = jaxir.perspective_camera(35.0, 25.0, 20.0, 4e-3, (40, 40))
+    scene = jaxir.Scene(None, jaxir.GridPlume(PLUME.grid, 500.0, PLUME.gas, cloud), (), sky)
+    camera = jaxir.perspective_camera(35.0, 25.0, 20.0, 5e-3, (32, 32))
     asked = dict(method=jaxir.Method(orders=2))
     image = jaxir.render(scene, camera, jaxir.MWIR, pixel_rtol=2e-2, **asked)
-    even = jaxir.render(scene, camera, jaxir.MWIR, samples=32, **asked)
+    even = jaxir.render(scene, camera, jaxir.MWIR, samples=2, rtol=1e-5, max_samples=64, **asked)
     assert int(image.samples) > 2
     np.testing.assert_allclose(image.empty, even.empty, rtol=0.02)
     np.testing.assert_allclose(image.orders, even.orders, rtol=0.2)
@@ -110,16 +108,17 @@ def test_what_comes_with_the_radiance_is_averaged_by_the_same_rays():
     assert abs(float((image.radiant_intensity() - even.radiant_intensity())[0])) < 4 * error
 
 
-@pytest.mark.parametrize("power", [1.0, 1.5])
-def test_one_more_ray_is_worth_the_same_in_every_pixel(power):
+@pytest.mark.parametrize("powers", [(1.0, 1.0), (1.5, 2.2)])
+def test_one_more_ray_is_worth_the_same_in_every_pixel(powers):
     rng = np.random.default_rng(3)
+    power = rng.choice(powers, (30, 40))
     constant = np.exp(rng.normal(-3.0, 3.0, (30, 40))) * (rng.uniform(size=(30, 40)) < 0.4)
     count = placement(constant, power, 2**40)
     assert (count[constant == 0] == 1).all()
-    left = (constant[constant > 0] / (2.0 * count[constant > 0]) ** power).sum()
+    left = (constant[constant > 0] / (2.0 * count[constant > 0]) ** power[constant > 0]).sum()
     assert 0.97 * MARGIN**2 < left <= MARGIN**2
     many = count > 100
-    worth = constant[many] / (2.0 * count[many]) ** (power + 1)
+    worth = power[many] * constant[many] / (2.0 * count[many]) ** (power[many] + 1)
     assert worth.std() < 0.1 * worth.mean()
     capped = placement(constant, power, 64)
     assert capped.max() <= 32
@@ -149,3 +148,20 @@ def test_what_cannot_be_asked_is_refused(asked, message):
         jax.jit(lambda key: jaxir.render(SCENE, CAMERA, jaxir.MWIR, key=key, pixel_rtol=1e-2).radiance)(
             jax.random.key(0)
         )
+
+
+@pytest.mark.parametrize("asked", [{"rtol": 0.1}, {"pixel_rtol": 0.1}, {"rtol": 0.1, "samples": 8}], ids=str)
+def test_a_target_smaller_than_a_pixel_is_found(asked):
+    """Amid four pixels of which it takes a twentieth each: of few rays most keys have none that meets it."""
+    scene = jaxir.Scene(jaxir.Skin(box_mesh(), 320.0, jaxir.Lambert(0.7)))
+    camera = jaxir.orthographic_camera(35.0, 25.0, 2.3, (16, 16))
+    exact = float(jaxir.unoccluded_intensity(scene, 35.0, 25.0, jaxir.MWIR)[0])
+    images = [jaxir.render(scene, camera, jaxir.MWIR, key=jax.random.key(key), **asked) for key in range(24)]
+    apart = np.array([float(image.radiant_intensity()[0]) / exact - 1 for image in images])
+    assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
+    assert np.sqrt(np.mean(apart**2)) < 0.1 and np.abs(apart).max() < 0.3
+    assert abs(apart.mean()) < 4 * apart.std(ddof=1) / len(apart) ** 0.5
+    beside = jaxir.orthographic_camera(35.0, 25.0, 2.3, (16, 16), target=(0.0, 90.0, 0.0))
+    image = jaxir.render(scene, beside, jaxir.MWIR, **asked)
+    assert bool(image.outcome == jaxir.Outcome.tolerance_met) and int(image.samples) <= 8
+    assert float(image.radiant_intensity()[0]) == 0

@@ -71,7 +71,7 @@ def test_an_image_tells_components_and_their_contrast():
     scene = jaxir.Scene(skin, (), sun, jaxir.UniformBackground(3.0), jaxir.FixedPath(0.5, 0.25))
     camera = jaxir.orthographic_camera(0.0, 0.0, 0.125, (16, 16))
     method = jaxir.Method(direct=jaxir.ClosedForm())
-    image = jaxir.render(scene, camera, jaxir.MWIR, samples=2, method=method, components="parts")
+    image = jaxir.render(scene, camera, jaxir.MWIR, samples=8, method=method, components="parts")
     assert image.components == ("skin, a", "skin, b", "ParallelSource", "surroundings", "background", "air")
     black = float(jaxir.band_radiance(jnp.asarray(400.0), NODES)[0])
     want = 0.5 * np.array([0.6 * black, 0.4 * 10 / np.pi, 0.4 * 3.0, -3.0, 0.0])
