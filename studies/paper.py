@@ -21,7 +21,7 @@ EQUATIONS = (  # equation, what it says, here, held by
     (
         "(1)",
         "a pixel is the mean of the radiance of its rays",
-        "two random points in each stratum of a pixel, with an unbiased standard error: `render`",
+        "two independent sets of even points in each pixel, with an unbiased standard error: `render`",
         "`tests/imaging/test_render.py`",
     ),
     (

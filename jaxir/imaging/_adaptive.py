@@ -52,7 +52,7 @@ MARGIN = 0.9  # of the error asked for that is aimed at: what the pilot tells is
 ROUNDS = 3  # at most; each decides for the next
 OF_SPOTS = 2**32 - 2  # beside the numbers of passes, for the random numbers of pixels with strata of their own
 SMOOTH = 2.2  # a of a smooth field
-EVEN = {1.5: 0.8, SMOOTH: 0.6}  # c of even points, in that of two rays, see `jaxir.geometry._pixels`
+EVEN = {1.0: 1.0, 1.5: 0.8, SMOOTH: 0.6}  # c of even points by a, in that of two rays, see `jaxir.geometry._pixels`
 _HALVINGS = 48
 
 
@@ -155,11 +155,9 @@ def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> L
     if first.method.needs_key(first.lit.scene):
         power = np.ones(mean.shape[:2])
     else:
-        smooth = _smooth(mean, varied * few)
-        power = np.where(smooth, SMOOTH, 1.5)
-        varied = varied * np.where(smooth, EVEN[SMOOTH], EVEN[1.5])[..., None]
-    edges, factor = _of_unseen_edges(mean, varied, few), power[..., None]
-    constant = np.maximum(varied * few**factor, edges * 2**factor)
+        power = np.where(_smooth(mean, varied * few), SMOOTH, 1.5)
+    even, edges, factor = np.vectorize(EVEN.get)(power), _of_unseen_edges(mean, varied, few), power[..., None]
+    constant = np.maximum(even[..., None] * varied * few**factor, edges * 2**factor)
     constant = _around((goal.weight(image) * constant).max(axis=-1))
     return Look(image, met, constant, power)
 

@@ -71,10 +71,14 @@ class Trial(NamedTuple):
         return ErrorLaw(self.pilot.variance * self.few, np.zeros_like(self.pilot.variance))
 
 
-def few_rays(first: Pass, most: int) -> int:
-    """Rays per pixel of first pilots, at most `most`: few may miss a target smaller than a pixel, as if it was dark."""
+def rays_to_see(first: Pass) -> float:
+    """Rays per pixel of which `MET` go where the scene may be seen; of few a target smaller than a pixel looks dark."""
     filled = float(_pixels_filled(first.lit.scene, first.camera))
-    wanted = MET / filled if filled > 0 else 0.0
+    return MET / filled if filled > 0 else 0.0
+
+
+def few_rays(wanted: float, most: int) -> int:
+    """Rays per pixel of first pilots, at most `most`, where so many are wanted, see `rays_to_see`."""
     return next((count for count in well_shaped(most) if count >= max(wanted, FEW)), well_shaped(most)[-1])
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Key
 from jaxir._arrays import is_traced, key_or_default
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import PILOT, Goal, adapted, even_image, looked
-from jaxir.imaging._choices import FEW, few_rays
+from jaxir.imaging._choices import FEW, few_rays, rays_to_see
 from jaxir.imaging._chunks import PARTS, Pass, first_pass
 from jaxir.imaging._devices import shared_by
 from jaxir.imaging._image import Image, Outcome, few_tell, joined, meets
@@ -64,8 +64,9 @@ def render(
             the error is (see `jaxir.imaging._adaptive`). None takes one pass. `Image.outcome` says whether it was met.
         pixel_rtol: place rays where the error is until the root mean square standard
             error over the pixels that see the target is at most this share of their mean contrast to the empty image,
-            in every band; with rtol, both. Every pixel gets two rays of the image, and those that a pilot of eight
-            finds to vary strata of their own, so `samples` has no meaning.
+            in every band; with rtol, both. Every pixel gets two rays of the image, and those that a pilot of eight,
+            or of more where the target is smaller than a pixel, finds to vary strata of their own, so `samples` has no
+            meaning.
         max_samples: rays per pixel at which to give up.
         devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
             `jax.distributed.initialize`, in many; every process gets the whole image. The numbers are those of one
@@ -113,20 +114,23 @@ def render(
         asked = Asked(scene, first.lit.nodes, camera, first.method)
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
+    wanted = 0.0 if rtol is None and pixel_rtol is None else rays_to_see(first)
+    few = few_rays(wanted, max_samples)
     if pixel_rtol is not None or look is not None:
         if look is None or (look.met and first.components is not None):  # the answer, of which no parts were asked
-            look = looked(first, goal, mesh, max(2, well_shaped(few_rays(first, max_samples) // PILOT)[-1]))
-        return ended(*adapted(first, goal, look, max_samples, mesh))
+            look = looked(first, goal, mesh, max(2, well_shaped(few // PILOT)[-1]))
+        image, met = adapted(first, goal, look, max_samples, mesh)
+        return ended(image, met and wanted <= max_samples)
     image = even_image(first, 0, samples, mesh, alone=rtol is None)
     if rtol is None:
         return ended(image, None)
-    passes, few = [image], few_rays(first, max_samples)
+    passes = [image]
 
     def foretold(image: Image) -> bool:
         return planned and not few_tell(image)
 
     def enough() -> bool:
-        seen = int(image.samples) >= few  # what is smaller than a pixel may have been missed
+        seen = wanted <= max_samples and int(image.samples) >= few  # what is smaller than a pixel may have been missed
         return seen and meets(image, rtol) and (foretold(image) or not by_luck(passes, image, rtol))
 
     while not enough() and int(image.samples) + samples <= max_samples:

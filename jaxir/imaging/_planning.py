@@ -13,7 +13,7 @@ from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import LOOKED, Look
-from jaxir.imaging._choices import FEW, Choice, Trial, cheapest, few_rays, trials_of, where_it_varies
+from jaxir.imaging._choices import FEW, Choice, Trial, cheapest, few_rays, rays_to_see, trials_of, where_it_varies
 from jaxir.imaging._chunks import Pass, first_pass
 from jaxir.imaging._repeated import require_rtol
 from jaxir.optics.spectrum import Band, Nodes
@@ -114,7 +114,7 @@ def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> tuple[Plan, L
         most: its `max_samples`.
         asked: whether the method is not to be chosen.
     """
-    scene, first = first.lit.scene, first.of(few_rays(first, most))
+    scene, first = first.lit.scene, first.of(few_rays(rays_to_see(first), most))
     trials = trials_of(first, rtol, most, asked)
     chosen, look = where_it_varies(cheapest(trials, rtol, most), rtol, most)
     trial = chosen.trial
