@@ -106,6 +106,11 @@ class Camera(eqx.Module):
         """1 + tan^2 of the angle from the axis to points of the screen [*batch, 2] [m]; 1 in an orthographic one."""
         return 1 + self.inverse_range**2 * jnp.sum(screen * screen, axis=-1)
 
+    def rectangle(self, outline: Float[Array, "point 3"]) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
+        """Lower and upper corner of what the rectangle about projected points fills of the frame [m]."""
+        half, corner = self.half_size(), self.project(outline)
+        return jnp.clip(corner.min(axis=0), -half, half), jnp.clip(corner.max(axis=0), -half, half)
+
     def spread_over(
         self, outline: Float[Array, "point 3"], side: int
     ) -> tuple[Float[Array, "ray 2"], Float[Array, " ray"]]:
@@ -113,8 +118,7 @@ class Camera(eqx.Module):
 
         There are side^2 of them [m]; sum weight L is what lies in the rectangle of I = sum L dA / (1 + tan^2)^2 [m2].
         """
-        half, corner = self.half_size(), self.project(outline)
-        low, high = (jnp.clip(end, -half, half) for end in (corner.min(axis=0), corner.max(axis=0)))
+        low, high = self.rectangle(outline)
         grid = (np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) + 0.5) / side
         screen = low[None] + (high - low)[None] * as_float(grid)
         return screen, jnp.prod(high - low) / side**2 / self.slant(screen) ** 2

@@ -57,8 +57,7 @@ def stratum_points(
     shape = (*index.shape, *turn.shape)
     word = jax.random.bits(key, (math.prod(shape),), jnp.uint32).reshape(shape)  # more axes compile for a second
     corner = [place(index, cells[0])[:, None, None, None] for place in (lax.rem, lax.div)]
-    most = np.int32(max(strata)) if isinstance(strata, tuple) else jnp.max(strata)
-    return places_in(corner, cells, turn[None], word, most)
+    return places_in(corner, cells, turn[None], word)
 
 
 def places_in(
@@ -66,7 +65,6 @@ def places_in(
     cells: Sequence[Int[Array, "*#point"]],
     turn: UInt32[Array, "*#point"],
     word: UInt32[Array, "*point"],
-    most: np.int32 | Int[Array, ""],
 ) -> Float[Array, "*point 2"]:
     """Points in strata, as places in (0, 1) inside their pixels.
 
@@ -77,7 +75,6 @@ def places_in(
         cells: columns and rows.
         turn: random, the same for all points of one set in one pixel.
         word: random, of each point.
-        most: columns and rows at most; not data below transformations of JAX.
     """
     (column, row), (columns, rows) = corner, cells
     # an item's place in a permutation is that of its hash among those of all
@@ -90,7 +87,8 @@ def places_in(
         return parts[0] + x, parts[1] + y
 
     none = varying(jnp.zeros(jnp.broadcast_shapes(own[0].shape, own[1].shape), jnp.int32), turn)
-    parts = lax.fori_loop(np.int32(0), most, count, (none, none))
+    most = jnp.maximum(jnp.max(columns), jnp.max(rows))
+    parts = lax.fori_loop(jnp.zeros_like(most), most, count, (none, none))
     dtype = as_float(0.0).dtype
 
     def place(own: Array, count: Array, part: Array, parts: Array, low: Array) -> Array:

@@ -51,8 +51,7 @@ LOOKED = 2 * PILOT  # its rays per pixel
 MARGIN = 0.9  # of the error asked for that is aimed at: what the pilot tells is itself uncertain
 ROUNDS = 3  # at most; each decides for the next
 OF_SPOTS = 2**32 - 2  # beside the numbers of passes, for the random numbers of pixels with strata of their own
-SMOOTH = 2.2  # a of a smooth field
-EVEN = {1.0: 1.0, 1.5: 0.8, SMOOTH: 0.6}  # c of even points by a, in that of two rays, see `jaxir.geometry._pixels`
+NOISE, EDGES, SMOOTH = (1.0, 1.0), (1.5, 0.8), (2.2, 0.6)  # a, and c of even points in that of two rays
 _HALVINGS = 48
 
 
@@ -152,11 +151,11 @@ def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> L
     image = reduce(joined, passes)
     met = goal.excess(image) <= 1 / 3  # few rays tell their own error poorly
     varied, mean = _of_a_pass(passes), np.asarray(image.radiance, np.float64)
-    if first.method.needs_key(first.lit.scene):
-        power = np.ones(mean.shape[:2])
-    else:
-        power = np.where(_smooth(mean, varied * few), SMOOTH, 1.5)
-    even, edges, factor = np.vectorize(EVEN.get)(power), _of_unseen_edges(mean, varied, few), power[..., None]
+    noisy = first.method.needs_key(first.lit.scene)
+    laws = [NOISE, NOISE] if noisy else [SMOOTH, EDGES]
+    smooth = _smooth(mean, varied * few)
+    power, even = (np.where(smooth, *values) for values in zip(*laws, strict=True))
+    edges, factor = _of_unseen_edges(mean, varied, few), power[..., None]
     constant = np.maximum(even[..., None] * varied * few**factor, edges * 2**factor)
     constant = _around((goal.weight(image) * constant).max(axis=-1))
     return Look(image, met, constant, power)
@@ -196,7 +195,7 @@ def _image_with_strata(first: Pass, number: int, strata: Strata, mesh: Mesh | No
 def _of_a_pass(passes: list[Image]) -> Float[np.ndarray, "row column band"]:
     """Variance of the mean of the rays of a pass, by those of all: both sets of points of one may agree by chance.
 
-    With n passes, means m_i and standard errors e_i of pairs it is sum (e_i^2 + (m_i - mean)^2) / (2 n - 1).
+    With n passes, means m_i and standard errors e_i it is sum (e_i^2 + (m_i - mean)^2) / (2 n - 1).
     """
     mean = np.array([np.asarray(image.radiance, np.float64) for image in passes])
     within = sum(np.asarray(image.standard_error, np.float64) ** 2 for image in passes)
@@ -383,7 +382,7 @@ def _seen_at(taken: Pass, chunk: tuple[Spots, Array]) -> tuple[Seen, Varied]:
     turn = jax.vmap(lambda key: jax.random.bits(key, (2,), jnp.uint32))(of_pixel)
     word = jax.random.bits(for_places, turn.shape, jnp.uint32)
     corner, cells = ([part[:, k, None] for k in range(part.shape[1])] for part in (spots.corner, spots.cells))
-    place = places_in(corner, cells, turn, word, jnp.max(spots.cells))
+    place = places_in(corner, cells, turn, word)
     screen = camera.points(spots.row[:, None], spots.column[:, None], place)
     bundle = camera.bundle(screen.reshape(-1, 2), taken.lit.scene.start(camera))
     seen = jax.tree.map(lambda value: value.reshape((-1, 2, *value.shape[1:])), see(taken, bundle, for_paths))

@@ -85,8 +85,7 @@ def few_rays(wanted: float, most: int) -> int:
 @program
 def _pixels_filled(scene: Scene, camera: Camera) -> Array:
     """How many pixels of an image the rectangle covers that holds the scene."""
-    corner, half = camera.project(scene.extent()), camera.half_size()
-    low, high = (jnp.clip(end, -half, half) for end in (corner.min(axis=0), corner.max(axis=0)))
+    low, high = camera.rectangle(scene.extent())
     return jnp.prod((high - low) / camera.pixel)
 
 

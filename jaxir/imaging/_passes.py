@@ -101,8 +101,10 @@ def render(
     goal, look = Goal(rtol, pixel_rtol), None
     planned = samples is None and rtol is not None and pixel_rtol is None
     samples = 8 if samples is None else samples
+    wanted = 0.0 if rtol is None and pixel_rtol is None else rays_to_see(first)
+    few = few_rays(wanted, max_samples)
     if planned and rtol is not None:
-        found, look = plan_pass(first._replace(components=None), rtol, max_samples, method is not None)
+        found, look = plan_pass(first._replace(components=None).of(few), rtol, max_samples, method is not None)
         first = first._replace(method=found.method, lit=with_scattered(first.lit, found.method))
         samples = found.samples
     first = first._replace(parts=PARTS if devices is None else max(PARTS, devices.size))
@@ -114,11 +116,9 @@ def render(
         asked = Asked(scene, first.lit.nodes, camera, first.method)
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
-    wanted = 0.0 if rtol is None and pixel_rtol is None else rays_to_see(first)
-    few = few_rays(wanted, max_samples)
     if pixel_rtol is not None or look is not None:
         if look is None or (look.met and first.components is not None):  # the answer, of which no parts were asked
-            look = looked(first, goal, mesh, max(2, well_shaped(few // PILOT)[-1]))
+            look = looked(first, goal, mesh, well_shaped(few // PILOT)[-1])
         image, met = adapted(first, goal, look, max_samples, mesh)
         return ended(image, met and wanted <= max_samples)
     image = even_image(first, 0, samples, mesh, alone=rtol is None)

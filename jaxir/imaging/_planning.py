@@ -102,11 +102,13 @@ def plan(
         raise ValueError("plan: got values known only inside jit, expected a call outside it")
     key = key_or_default(key)
     given = Method() if method is None else method
-    return plan_pass(first_pass(scene, camera, bands, key, FEW, given), rtol, max_samples, method is not None)[0]
+    first = first_pass(scene, camera, bands, key, FEW, given)
+    few = few_rays(rays_to_see(first), max_samples)
+    return plan_pass(first.of(few), rtol, max_samples, method is not None)[0]
 
 
 def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> tuple[Plan, Look | None]:
-    """`plan` for a pass that was checked, and what tells where its rays go, if not everywhere.
+    """`plan` for a pass of `few_rays` that was checked, and what tells where its rays go, if not everywhere.
 
     Args:
         first: the pass.
@@ -114,7 +116,7 @@ def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> tuple[Plan, L
         most: its `max_samples`.
         asked: whether the method is not to be chosen.
     """
-    scene, first = first.lit.scene, first.of(few_rays(rays_to_see(first), most))
+    scene = first.lit.scene
     trials = trials_of(first, rtol, most, asked)
     chosen, look = where_it_varies(cheapest(trials, rtol, most), rtol, most)
     trial = chosen.trial

@@ -251,7 +251,7 @@ def test_skin_shades_the_plume():
 def test_images_have_no_noise_of_it_and_tell_what_is_left():
     """Rays of one pixel differ by where they are alone; the estimate of the lattice's error stands in the budget."""
     scene = jaxir.Scene(None, box(1.0, 0.9, jaxir.Isotropic()))
-    camera = jaxir.orthographic_camera(0, 0, 0.15, (8, 8))  # amid the cube; by forced collision the error is .009
+    camera = jaxir.orthographic_camera(0, 0, 0.15, (8, 8))  # amid the cube; by forced collision the error is .01
     image = jaxir.render(scene, camera, [jaxir.MWIR], samples=8, method=COARSE)
     assert float(image.intensity_error()[0] / image.radiant_intensity()[0]) < 5e-4
     assert image.orders is None

@@ -146,15 +146,16 @@ def test_thinning_is_the_difference_of_the_phis(x64):
     assert float(thinning(as_float(0.0))) == 0.5
 
 
+@eqx.filter_jit
+def rays_of_a_tile(scene, camera, samples):
+    offset = pixel_samples(jax.random.key(3), 1, samples)
+    return tile_rays(camera, jnp.zeros(1, jnp.int32), offset, scene.start(camera))
+
+
 def camera_rays(scene, camera, samples):
     """Rays of all pixels of an image of one tile, and the part of the pixel's area that each stands for [ray] [m2]."""
 
-    @eqx.filter_jit
-    def rays(scene, camera):
-        offset = pixel_samples(jax.random.key(3), 1, samples)
-        return tile_rays(camera, jnp.zeros(1, jnp.int32), offset, scene.start(camera))
-
-    bundle = rays(scene, camera)
+    bundle = rays_of_a_tile(scene, camera, samples)
     inside = camera.pixel_index(jnp.zeros(1, jnp.int32)).reshape(-1)
     area = jnp.where(inside >= 0, camera.pixel_area().reshape(-1)[inside], 0)
     return bundle, np.repeat(np.asarray(area, float), samples) / samples
