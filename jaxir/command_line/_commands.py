@@ -55,8 +55,8 @@ def render_command(arguments: argparse.Namespace) -> None:
             asked = read.render | split_by(arguments)
             image = naming(read, partial(render, scene, camera, read.bands, method=read.method, **asked))
             if bool(image.outcome == Outcome.samples_spent):
-                missed = "pixel_rtol" if "pixel_rtol" in asked else "rtol"
-                said = f"{read.file}: render.{missed} was not met with {int(image.samples)} samples"
+                missed = " and ".join(f"render.{name}" for name in ("rtol", "atol", "pixel_rtol") if name in asked)
+                said = f"{read.file}: {missed} was not met with {int(image.samples)} samples"
                 warnings.warn(said, stacklevel=1)
             errors = image.error_budget(arguments.errors)
             warn_of_errors(read, errors)
@@ -96,10 +96,11 @@ def warn_of_missed(read: SceneFile, table: Signature) -> None:
     asked = {name: value for name in ("rtol", "atol") if (value := read.signature.get(name)) is not None}
     missed = int(np.sum(~table.meets(**asked)))
     if missed:
-        most = read.signature.get("max_samples", inspect.signature(signature).parameters["max_samples"].default)
+        given = {name: one.default for name, one in inspect.signature(signature).parameters.items()} | read.signature
+        ends = [f"{name} = {given[name]}" for name in ("max_samples", "max_seconds") if given[name] is not None]
         names = " and ".join(f"signature.{name}" for name in asked)
         views = f"{missed} of {len(table.azimuth)} views"
-        warnings.warn(f"{read.file}: {names} was not met in {views} with {most} samples (max_samples)", stacklevel=2)
+        warnings.warn(f"{read.file}: {names} was not met in {views} ({' or '.join(ends)})", stacklevel=2)
 
 
 def signature_command(arguments: argparse.Namespace) -> None:

@@ -22,7 +22,7 @@ from jaxir.imaging._planning import Term as Term
 from jaxir.imaging._planning import plan as plan
 from jaxir.imaging._plumes import entering as entering
 from jaxir.imaging._plumes import plume_intensity as plume_intensity
-from jaxir.imaging._repeated import require_tolerance as require_tolerance
+from jaxir.imaging._repeated import repeats as repeats
 from jaxir.imaging._views import COLUMNS as COLUMNS
 from jaxir.imaging._views import Signature as Signature
 from jaxir.imaging._views import Views as Views

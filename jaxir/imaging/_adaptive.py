@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from collections.abc import Iterator
 from functools import partial, reduce
 from typing import Any, NamedTuple
@@ -45,6 +46,7 @@ from jaxir.imaging._chunks import (
 )
 from jaxir.imaging._devices import over_items, progress
 from jaxir.imaging._image import Image, joined
+from jaxir.imaging._tolerance import Goal
 
 PILOT = 4  # passes of the pilot, of two rays per pixel each
 LOOKED = 2 * PILOT  # its rays per pixel
@@ -53,43 +55,6 @@ ROUNDS = 3  # at most; each decides for the next
 OF_SPOTS = 2**32 - 2  # beside the numbers of passes, for the random numbers of pixels with strata of their own
 NOISE, EDGES, SMOOTH = (1.0, 1.0), (1.5, 0.8), (2.2, 0.6)  # a, and c of even points in that of two rays
 _HALVINGS = 48
-
-
-class Goal(NamedTuple):
-    """What is asked of an image: relative errors, None for what is not asked.
-
-    Attributes:
-        rtol: of the radiant intensity of every band.
-        pixel_rtol: root mean square over the pixels that see the target, of their mean contrast to the empty image, of
-            every band.
-    """
-
-    rtol: float | None
-    pixel_rtol: float | None
-
-    def weight(self, image: Image) -> Float[np.ndarray, "row column band"]:
-        """w of each pixel: the goal is met where sum_p w_p v_p <= 1 in every band, v_p the variances."""
-        contrast = np.abs(np.asarray(image.radiance, np.float64) - np.asarray(image.empty, np.float64))
-        weight = np.zeros_like(contrast)
-        if self.pixel_rtol is not None:
-            seen = (contrast > 0).sum(axis=(0, 1))
-            allowed = seen * (self.pixel_rtol * contrast.sum(axis=(0, 1)) / np.maximum(seen, 1)) ** 2
-            weight = np.maximum(weight, _over(1.0, allowed))
-        if self.rtol is not None:
-            area = np.asarray(image.camera.pixel_area(), np.float64)[:, :, None]
-            intensity = np.asarray(image.radiant_intensity(), np.float64)
-            weight = np.maximum(weight, _over(area**2, (self.rtol * intensity) ** 2))
-        return weight
-
-    def excess(self, image: Image) -> float:
-        """Error of an image over the error asked for, of the worst band."""
-        variance = np.asarray(image.standard_error, np.float64) ** 2
-        return float(np.sqrt((self.weight(image) * variance).sum(axis=(0, 1)).max()))
-
-
-def _over(value: float | np.ndarray, allowed: np.ndarray) -> np.ndarray:
-    """value / allowed; 0 for a dark band, of which nothing can be asked."""
-    return np.where(allowed > 0, value / np.where(allowed > 0, allowed, 1), 0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,16 +84,33 @@ class Look(NamedTuple):
         met: whether it is the answer.
         constant: c of c / n^power, the share of the variance allowed that n rays in each pixel bring [row, column].
         power: a [row, column].
+        seconds: that its rays took.
+        each: seconds of a ray, were all of them those of pixels that show the scene.
     """
 
     image: Image
     met: bool
     constant: Float[np.ndarray, "row column"]
     power: Float[np.ndarray, "row column"]
+    seconds: float
+    each: float
 
-    def strata(self, most: int) -> Int[np.ndarray, "row column"]:
-        """See `placement`."""
-        return placement(self.constant, self.power, most)
+    @property
+    def base(self) -> float:
+        """Seconds of two rays in every pixel."""
+        return self.seconds / PILOT
+
+    def ends(self, goal: Goal) -> bool:
+        """Whether it is the answer: it meets the goal, or there is no time for as many other rays."""
+        return self.met or goal.seconds < 2 * self.seconds
+
+    def excess(self, strata: Int[np.ndarray, "row column"]) -> float:
+        """Error, with so many in each pixel, over the error asked for."""
+        return float(np.sqrt((self.constant / (2.0 * strata) ** self.power).sum()))
+
+    def strata(self, most: int, seconds: float) -> Int[np.ndarray, "row column"]:
+        """See `placement`; in so many seconds."""
+        return placement(self.constant, self.power, most, (seconds - self.base) / self.each)
 
 
 def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = None, alone: bool = False) -> Image:
@@ -147,7 +129,11 @@ def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = N
 
 def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> Look:
     """What a pilot of an image sees, of `few` rays per pixel in each pass; other arguments of `adapted`."""
-    passes = [even_image(first, number, few, mesh=mesh) for number in range(PILOT)]
+    passes, times = [], []
+    for number in range(PILOT):
+        began = time.perf_counter()
+        passes.append(even_image(first, number, few, mesh=mesh))
+        times.append(time.perf_counter() - began)
     image = reduce(joined, passes)
     met = goal.excess(image) <= 1 / 3  # few rays tell their own error poorly
     varied, mean = _of_a_pass(passes), np.asarray(image.radiance, np.float64)
@@ -158,29 +144,37 @@ def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> L
     edges, factor = _of_unseen_edges(mean, varied, few), power[..., None]
     constant = np.maximum(even[..., None] * varied * few**factor, edges * 2**factor)
     constant = _around((goal.weight(image) * constant).max(axis=-1))
-    return Look(image, met, constant, power)
+    shown = max(1, int((mean != np.asarray(image.empty, np.float64)).any(axis=-1).sum()))
+    spent = min(times)  # the first compiles
+    return Look(image, met, constant, power, PILOT * spent, spent / (few * shown))
 
 
-def adapted(first: Pass, goal: Goal, look: Look, most: int, mesh: Mesh | None = None) -> tuple[Image, bool]:
+def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tuple[Image, bool]:
     """An image whose rays lie where its error is, and whether the goal is met.
 
     Args:
         first: a pass of the image.
         goal: what is asked.
         look: of its pilot.
-        most: rays in a pixel at most.
         mesh: devices that share it, of `shared_by`.
     """
-    if look.met:
-        return look.image, True
+    if look.ends(goal):
+        return look.image, look.met
+    left = goal.seconds - look.seconds
     for number in range(PILOT, PILOT + ROUNDS):
-        count = look.strata(most)
+        began, count = time.perf_counter(), look.strata(goal.most, left)
         image = _image_with_strata(first, number, strata_of(count, first.camera), mesh)
         if goal.excess(image) <= 1:
             return image, True
+        added = 2 * float((count - 1).sum())
+        spent = min(time.perf_counter() - began, look.base + added * look.each)  # the first compiles
+        left -= spent
+        if left < spent:  # no time for as many again
+            break
+        each = min(look.each, max(spent - look.base, spent / 10) / max(added, 1))  # timers are coarse
         variance = np.asarray(image.standard_error, np.float64) ** 2
         found = (goal.weight(image) * variance).max(axis=-1) * (2.0 * count) ** look.power
-        look = look._replace(constant=np.maximum(look.constant, _around(found)))
+        look = look._replace(constant=np.maximum(look.constant, _around(found)), each=each)
     return image, False
 
 
@@ -253,7 +247,7 @@ def _nine(values: Float[np.ndarray, "row column *more"]) -> Iterator[Float[np.nd
 
 
 def placement(
-    constant: Float[np.ndarray, "row column"], power: Float[np.ndarray, "row column"], most: int
+    constant: Float[np.ndarray, "row column"], power: Float[np.ndarray, "row column"], most: int, rays: float = math.inf
 ) -> Int[np.ndarray, "row column"]:
     """Strata of two rays in each pixel, in rows and columns nearly square; 1 for what two rays in the pixel do.
 
@@ -261,6 +255,7 @@ def placement(
         constant: c of c / n^power, the share of the variance allowed that n rays bring.
         power: a.
         most: rays in a pixel at most.
+        rays: of all pixels at most, beyond two in each.
     """
     varied, own = constant[constant > 0], power[constant > 0]
     if varied.size == 0:
@@ -270,15 +265,20 @@ def placement(
     def strata(scale: float) -> np.ndarray:
         return well_shaped_strata(np.minimum((scale * worth) ** (1 / (1 + own)) / 2, most / 2))
 
+    def beyond(count: np.ndarray) -> bool:
+        return bool(2 * (count - 1).sum() > rays)
+
     low, high = (np.log(2.0 ** (1 + own) / worth).min(), np.log(float(most) ** (1 + own) / worth).max())
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        allowed = (varied / (2.0 * strata(np.exp(middle))) ** own).sum() <= MARGIN**2
-        low, high = (low, middle) if allowed else (middle, high)
+        tried = strata(np.exp(middle))
+        enough = (varied / (2.0 * tried) ** own).sum() <= MARGIN**2 or beyond(tried)
+        low, high = (low, middle) if enough else (middle, high)
         if high - low < 1e-3:
             break
+    found = strata(np.exp(high))
     count = np.ones(constant.shape, np.int64)
-    count[constant > 0] = strata(np.exp(high))
+    count[constant > 0] = strata(np.exp(low)) if beyond(found) else found
     return count
 
 

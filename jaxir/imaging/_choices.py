@@ -14,10 +14,10 @@ from jaxtyping import Array
 from jaxir._arrays import enforce, require
 from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Camera, Sobol
-from jaxir.imaging._adaptive import LOOKED, Goal, Look, looked
-from jaxir.imaging._adaptive import MARGIN as AIMED
+from jaxir.imaging._adaptive import LOOKED, Look, looked
 from jaxir.imaging._chunks import Pass
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
+from jaxir.imaging._tolerance import Goal
 from jaxir.scene import Scene
 from jaxir.transport import (
     ClosedForm,
@@ -48,14 +48,19 @@ class Trial(NamedTuple):
     Attributes:
         first: a pass of few rays per pixel, see `few_rays`.
         pilot: of it.
-        truncation: share of the intensity that is left out of what particles scatter, of the worst band.
+        left_out: of what particles scatter, over the error asked for, of the worst band.
         solving: seconds until the light in the plumes was solved for, which later images of the scene do not spend.
     """
 
     first: Pass
     pilot: Pilot
-    truncation: float
+    left_out: float
     solving: float
+
+    @property
+    def truncation(self) -> float:
+        """Share of the intensity that is left out of what particles scatter, of the worst band."""
+        return float(np.max(self.pilot.truncation))
 
     @property
     def method(self) -> Method:
@@ -89,51 +94,59 @@ def _pixels_filled(scene: Scene, camera: Camera) -> Array:
     return jnp.prod((high - low) / camera.pixel)
 
 
-def trials_of(first: Pass, rtol: float, most: int, asked: bool) -> list[Trial]:
+def trials_of(first: Pass, goal: Goal, asked: bool) -> list[Trial]:
     """Ways to find the light of a pass of few rays per pixel; one where the method is `asked` for."""
     scene = first.lit.scene
     if asked:
-        return [_trial(first)]
+        return [_trial(first, goal)]
     if scene.scatters and not scene.area_sources:
-        return _ways_to_scatter(first, rtol, most)
-    return [_trial(first._replace(method=method)) for method in _candidates(scene, first.method)]
+        return _ways_to_scatter(first, goal)
+    return [_trial(first._replace(method=method), goal) for method in _candidates(scene, first.method)]
 
 
-def _trial(first: Pass, solving: float = 0.0) -> Trial:
+def _trial(first: Pass, goal: Goal, solving: float = 0.0) -> Trial:
     found = pilot(first, _lattice_error(first.lit, first.camera))
-    return Trial(first, found, float(np.max(found.truncation)), solving)
+    intensity = np.abs(found.intensity)
+    left_out = np.multiply(found.truncation, intensity, out=np.zeros_like(intensity), where=intensity > 0)
+    return Trial(first, found, _excess(goal, intensity, left_out), solving)
+
+
+def _excess(goal: Goal, intensity: np.ndarray, error: np.ndarray) -> float:
+    """Error over what is asked, of the worst band."""
+    assert goal.tolerance is not None
+    return float(goal.tolerance.excess(intensity, error))
 
 
 _lattice_error = program(lattice_error)
 
 
-def _ways_to_scatter(first: Pass, rtol: float, most: int) -> list[Trial]:
+def _ways_to_scatter(first: Pass, goal: Goal) -> list[Trial]:
     """By rising orders, and if that is not soon done by finer lattices, until one leaves out no more than is asked.
 
     Where none does, what the finest errs is sampled.
     """
     trials = []
     for orders in sorted({min(FEW_ORDERS, first.method.orders), first.method.orders}):
-        trials.append(_trial(first._replace(method=dataclasses.replace(first.method, orders=orders))))
-        if trials[-1].truncation <= rtol:
-            choice = _choice(trials[-1], trials[-1].law(), 1 / first.samples, rtol, most)
-            if choice.expected <= rtol and choice.seconds < SOON:
+        trials.append(_trial(first._replace(method=dataclasses.replace(first.method, orders=orders)), goal))
+        if trials[-1].left_out <= 1:
+            choice = _choice(trials[-1], trials[-1].law(), 1 / first.samples, goal)
+            if choice.excess <= 1 and choice.seconds < SOON:
                 return trials
             break
     held = None
     for ordinates in LATTICES:
-        solved = _on_lattice(first, ordinates)
+        solved = _on_lattice(first, goal, ordinates)
         if solved is None:  # this lattice cannot hold the light, a finer one may
             continue
         held = ordinates
         trials.append(solved)
-        if solved.truncation <= rtol:
+        if solved.left_out <= 1:
             return trials
-    mended = None if held is None else _on_lattice(first, dataclasses.replace(held, orders=SAMPLED))
+    mended = None if held is None else _on_lattice(first, goal, dataclasses.replace(held, orders=SAMPLED))
     return trials if mended is None else [*trials, mended]
 
 
-def _on_lattice(first: Pass, ordinates: DiscreteOrdinates) -> Trial | None:
+def _on_lattice(first: Pass, goal: Goal, ordinates: DiscreteOrdinates) -> Trial | None:
     """What a lattice comes to; None where it cannot hold the light."""
     method, began = dataclasses.replace(first.method, orders=0, scattering=ordinates), time.perf_counter()
     try:
@@ -142,7 +155,7 @@ def _on_lattice(first: Pass, ordinates: DiscreteOrdinates) -> Trial | None:
     except ValueError:
         return None
     spent = time.perf_counter() - began
-    return _trial(first._replace(method=method.resolved(lit.scene), lit=lit), spent)
+    return _trial(first._replace(method=method.resolved(lit.scene), lit=lit), goal, spent)
 
 
 class Choice(NamedTuple):
@@ -154,6 +167,7 @@ class Choice(NamedTuple):
         samples: rays per pixel, pilots among them where they tell where the others go.
         seconds: of them.
         expected: standard error over intensity, of the worst band.
+        excess: standard error over what is asked, of the worst band.
     """
 
     trial: Trial
@@ -161,6 +175,7 @@ class Choice(NamedTuple):
     samples: int
     seconds: float
     expected: float
+    excess: float
 
 
 def _candidates(scene: Scene, given: Method) -> list[Method]:
@@ -187,11 +202,11 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
     return ways if scene.skin.brdf.diffuse else [*ways, by(DirectSampling(0, 1))]
 
 
-def cheapest(trials: list[Trial], rtol: float, most: int) -> Choice:
+def cheapest(trials: list[Trial], goal: Goal) -> Choice:
     """First as if all variance were that of lights; then with the silhouettes' share, from a second pilot."""
     few = trials[0].few
-    choices = [_choice(trial, trial.law(), 1 / few, rtol, most) for trial in trials]
-    best = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
+    choices = [_choice(trial, trial.law(), 1 / few, goal) for trial in trials]
+    best = min(range(len(trials)), key=lambda i: _cost(choices[i]))
     chosen = choices[best]
     if chosen.samples == few:
         return chosen
@@ -207,15 +222,15 @@ def cheapest(trials: list[Trial], rtol: float, most: int) -> Choice:
         samples, seen = (count, more) if trial is trials[best] else (few, trial.pilot)
         noise = np.maximum(seen.variance * samples - edge / samples**0.5, 0)
         growth = max(1 - alike / trial.pilot.seconds, LEAST_GROWTH) / few
-        choices.append(_choice(trial, ErrorLaw(noise, edge), growth, rtol, most))
-    least = min(range(len(trials)), key=lambda i: _cost(choices[i], rtol))
+        choices.append(_choice(trial, ErrorLaw(noise, edge), growth, goal))
+    least = min(range(len(trials)), key=lambda i: _cost(choices[i]))
     if least != best:
         return choices[least]
     growth = max(each / little, LEAST_GROWTH / (count - few))  # was timed with more rays
-    return _choice(trials[best], choices[best].law, growth, rtol, most)
+    return _choice(trials[best], choices[best].law, growth, goal)
 
 
-def where_it_varies(chosen: Choice, rtol: float, most: int) -> tuple[Choice, Look | None]:
+def where_it_varies(chosen: Choice, goal: Goal) -> tuple[Choice, Look | None]:
     """The choice with its rays where pixels vary, where that takes fewer of them, pilot included; what the pilot saw.
 
     The pilot is `LOOKED` rays in every pixel: few, where `EVEN` do not suffice, unless the target is smaller than a
@@ -224,26 +239,30 @@ def where_it_varies(chosen: Choice, rtol: float, most: int) -> tuple[Choice, Loo
     first = chosen.trial.first
     if chosen.samples <= EVEN or first.work(chosen.samples) <= LITTLE or first.samples > LOOKED:
         return chosen, None
-    began = time.perf_counter()
-    look = looked(first, Goal(rtol, None))
-    spent = time.perf_counter() - began
-    samples = LOOKED + 2 * float(look.strata(most).mean())
-    if samples >= chosen.samples or chosen.expected > rtol:
+    look = looked(first, goal)
+    count = look.strata(goal.most, goal.seconds - look.seconds)
+    samples = LOOKED + 2 * float(count.mean())
+    excess = look.excess(count)
+    if (max(excess, 1), samples) >= (max(chosen.excess, 1), chosen.samples):
         return chosen, None
-    seconds = spent + chosen.seconds / chosen.samples * (samples - LOOKED)
-    return chosen._replace(samples=round(samples), seconds=seconds, expected=AIMED * rtol), look
+    seconds = look.seconds + chosen.seconds / chosen.samples * (samples - LOOKED)
+    expected = chosen.expected * excess / chosen.excess
+    return chosen._replace(samples=round(samples), seconds=seconds, expected=expected, excess=excess), look
 
 
-def _cost(choice: Choice, rtol: float) -> tuple[bool, float, float]:
-    """Methods that meet the tolerance first, then those that leave out no more than it or the least, then by time."""
-    return choice.expected > rtol, max(choice.trial.truncation, rtol), choice.seconds
+def _cost(choice: Choice) -> tuple[float, float]:
+    """What errs least beyond what is asked, by sampling or by what is left out; if alike, by time."""
+    return max(choice.excess, choice.trial.left_out, 1.0), choice.seconds
 
 
-def _choice(trial: Trial, law: ErrorLaw, growth: float, rtol: float, most: int) -> Choice:
+def _choice(trial: Trial, law: ErrorLaw, growth: float, goal: Goal) -> Choice:
     """Rays per pixel and time that a method needs; `growth` of the time with each ray more, in that of a pilot."""
+    assert goal.tolerance is not None
     intensity = np.abs(trial.pilot.intensity)
-    samples = max(law.samples((MARGIN * rtol * intensity) ** 2, most), trial.few)
+    in_time = trial.few + (goal.seconds / trial.pilot.seconds - 1) / growth
+    most = max(int(min(goal.most, in_time)), trial.few)
+    samples = max(law.samples((MARGIN * goal.tolerance.allowed(intensity)) ** 2, most), trial.few)
     error = np.sqrt(law.variance(samples))
     expected = float(np.max(np.divide(error, intensity, out=np.full_like(error, np.inf), where=intensity > 0)))
     seconds = trial.pilot.seconds * (1 + growth * (samples - trial.few))
-    return Choice(trial, law, samples, seconds, expected if error.any() else 0.0)
+    return Choice(trial, law, samples, seconds, expected if error.any() else 0.0, _excess(goal, intensity, error))

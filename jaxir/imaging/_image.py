@@ -25,7 +25,7 @@ class Outcome(eqx.Enumeration):
 
     samples_taken = "All samples asked for were taken."
     tolerance_met = "The standard error of every band fell below the tolerance asked for."
-    samples_spent = "The samples were spent before the standard error met the tolerance asked for."
+    samples_spent = "The samples, or seconds, were spent before the standard error met the tolerance asked for."
 
 
 class Image(eqx.Module):
@@ -196,11 +196,6 @@ def image_of(
     parts_error = None if parts_variance is None else safe_sqrt(parts_variance)
     about = whole, unresolved, spectral, outside, None, components, parts, parts_error
     return Image(mean, error, empty, camera, bands, taken, outcome, *about)
-
-
-def meets(image: Image, rtol: float) -> bool:
-    """Whether the standard error of the intensity of every band is at most `rtol` of it."""
-    return bool((image.intensity_error() <= rtol * jnp.abs(image.radiant_intensity())).all())
 
 
 def few_tell(image: Image) -> bool:

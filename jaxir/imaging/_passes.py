@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import time
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
 from jaxir._arrays import is_traced, key_or_default
+from jaxir._programs import of_items
 from jaxir.geometry import Camera
-from jaxir.imaging._adaptive import PILOT, Goal, adapted, even_image, looked
+from jaxir.imaging._adaptive import PILOT, adapted, even_image, looked
 from jaxir.imaging._choices import FEW, few_rays, rays_to_see
-from jaxir.imaging._chunks import PARTS, Pass, first_pass
+from jaxir.imaging._chunks import PARTS, Pass, estimate_chunk, first_pass
 from jaxir.imaging._devices import shared_by
-from jaxir.imaging._image import Image, Outcome, few_tell, joined, meets
+from jaxir.imaging._image import Image, Outcome, few_tell, joined
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._pilot import well_shaped
 from jaxir.imaging._planning import plan_pass
-from jaxir.imaging._repeated import require_rtol
+from jaxir.imaging._tolerance import Goal, Tolerance, goal_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
 from jaxir.transport import Method, with_scattered
@@ -35,8 +39,10 @@ def render(
     key: Key[Array, ""] | None = None,
     method: Method | None = None,
     rtol: float | None = None,
+    atol: float | None = None,
     pixel_rtol: float | None = None,
     max_samples: int = 4096,
+    max_seconds: float | None = None,
     devices: Mesh | None = None,
     components: str | None = None,
 ) -> Image:
@@ -56,18 +62,23 @@ def render(
         scene: the scene.
         camera: the eye.
         bands: bands (one gray node each) or spectral nodes.
-        samples: rays per pixel; even. By default 8, or with rtol what `jaxir.plan` finds.
+        samples: rays per pixel; even. By default 8, or with rtol or atol what `jaxir.plan` finds.
         key: random key; a fixed one by default, so results repeat.
-        method: how light is found; by default `Method()`, or with rtol alone as `jaxir.plan` finds cheapest.
+        method: how light is found; by default `Method()`, or with rtol or atol alone as `jaxir.plan` finds cheapest.
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
             the intensity: passes of `samples` if given, else as `jaxir.plan` foretells, which places many rays where
             the error is (see `jaxir.imaging._adaptive`). None takes one pass. `Image.outcome` says whether it was met.
+        atol: the standard error of an intensity that is good enough whatever it is [W sr-1], for contrasts near 0; with
+            rtol, the larger of the two counts.
         pixel_rtol: place rays where the error is until the root mean square standard
             error over the pixels that see the target is at most this share of their mean contrast to the empty image,
-            in every band; with rtol, both. Every pixel gets two rays of the image, and those that a pilot of eight,
-            or of more where the target is smaller than a pixel, finds to vary strata of their own, so `samples` has no
-            meaning.
+            in every band; with rtol or atol, both. Every pixel gets two rays of the image, and those that a pilot of
+            eight, or of more where the target is smaller than a pixel, finds to vary strata of their own, so `samples`
+            has no meaning.
         max_samples: rays per pixel at which to give up.
+        max_seconds: of the rays, at which to give up: so many are taken as fit, by the time that the first took.
+            Compiling and what `jaxir.plan` tries come on top. Where it does not suffice, the same key does not give the
+            same numbers again.
         devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
             `jax.distributed.initialize`, in many; every process gets the whole image. The numbers are those of one
             device; for more than `PARTS` = 8 devices and fewer than 8 full chunks they are drawn anew.
@@ -80,12 +91,12 @@ def render(
 
     Raises:
         ValueError: wrong shapes, values out of range, an eye inside the scene, tolerances inside jit, <= 0 or beyond
-            the precision in force, `samples` beside `pixel_rtol`.
+            the precision in force, `samples` beside `pixel_rtol`, `max_seconds` without a tolerance.
 
     Differentiable, in both modes, in every radiometric leaf of the scene and in the place and shape of a jet; other
     geometry is seen as fixed.
     """
-    first = prepare_image(
+    first, goal = prepare_image(
         scene,
         camera,
         bands,
@@ -93,21 +104,13 @@ def render(
         key=key,
         method=method,
         rtol=rtol,
+        atol=atol,
         pixel_rtol=pixel_rtol,
         max_samples=max_samples,
+        max_seconds=max_seconds,
         components=components,
     )
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
-    goal, look = Goal(rtol, pixel_rtol), None
-    planned = samples is None and rtol is not None and pixel_rtol is None
-    samples = 8 if samples is None else samples
-    wanted = 0.0 if rtol is None and pixel_rtol is None else rays_to_see(first)
-    few = few_rays(wanted, max_samples)
-    if planned and rtol is not None:
-        found, look = plan_pass(first._replace(components=None).of(few), rtol, max_samples, method is not None)
-        first = first._replace(method=found.method, lit=with_scattered(first.lit, found.method))
-        samples = found.samples
-    first = first._replace(parts=PARTS if devices is None else max(PARTS, devices.size))
 
     def ended(image: Image, met: bool | None) -> Image:
         if met is not None:
@@ -116,40 +119,72 @@ def render(
         asked = Asked(scene, first.lit.nodes, camera, first.method)
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
-    if pixel_rtol is not None or look is not None:
-        if look is None or (look.met and first.components is not None):  # the answer, of which no parts were asked
-            look = looked(first, goal, mesh, well_shaped(few // PILOT)[-1])
-        image, met = adapted(first, goal, look, max_samples, mesh)
-        return ended(image, met and wanted <= max_samples)
-    image = even_image(first, 0, samples, mesh, alone=rtol is None)
-    if rtol is None:
-        return ended(image, None)
-    passes = [image]
-
-    def foretold(image: Image) -> bool:
-        return planned and not few_tell(image)
-
-    def enough() -> bool:
-        seen = wanted <= max_samples and int(image.samples) >= few  # what is smaller than a pixel may have been missed
-        return seen and meets(image, rtol) and (foretold(image) or not by_luck(passes, image, rtol))
-
-    while not enough() and int(image.samples) + samples <= max_samples:
-        more = top_up(image, rtol, samples) if foretold(image) else samples
-        passes.append(even_image(first, len(passes), more, mesh))
-        image = joined(image, passes[-1])
-    return ended(image, enough())
+    parts = PARTS if devices is None else max(PARTS, devices.size)
+    if goal is None:
+        return ended(even_image(first._replace(parts=parts), 0, samples or 8, mesh, alone=True), None)
+    wanted, planned, look = rays_to_see(first), samples is None and pixel_rtol is None, None
+    few, sees = few_rays(wanted, max_samples), wanted <= max_samples
+    if planned:
+        found, look = plan_pass(first._replace(components=None).of(few), goal, method is not None)
+        first = first._replace(method=found.method, lit=with_scattered(first.lit, found.method))
+        samples = found.samples
+    first = first._replace(parts=parts)
+    if pixel_rtol is None and look is None:
+        image, met = repeated(first, goal, samples or 8, planned, few, mesh)
+        return ended(image, met and sees)
+    if look is None or (look.ends(goal) and first.components is not None):  # the answer, of which no parts were asked
+        look = looked(first, goal, mesh, well_shaped(few // PILOT)[-1])
+    image, met = adapted(first, goal, look, mesh)
+    return ended(image, met and sees)
 
 
-def by_luck(passes: list[Image], image: Image, rtol: float) -> bool:
+def repeated(
+    first: Pass, goal: Goal, samples: int, planned: bool, few: int, mesh: Mesh | None = None
+) -> tuple[Image, bool]:
+    """An image of as many passes as a tolerance on its intensity takes, and whether that is met.
+
+    Args:
+        first: a pass of the image.
+        goal: what is asked.
+        samples: rays per pixel of a pass.
+        planned: whether they are what a plan foretold.
+        few: rays per pixel, of fewer of which a target may have been missed.
+        mesh: devices that share it, of `shared_by`.
+    """
+    assert goal.tolerance is not None
+    if goal.seconds < math.inf:  # so that no pass is timed while it compiles
+        _ = jax.block_until_ready(of_items(estimate_chunk, first.of(samples))(first.of(samples).chunks()[0]))
+    passes: list[Image] = []
+    image, more, spent = None, samples, 0.0
+    while True:
+        began = time.perf_counter()
+        passes.append(jax.block_until_ready(even_image(first, len(passes), more, mesh)))
+        took = time.perf_counter() - began
+        spent += took
+        image = passes[0] if image is None else joined(image, passes[-1])
+        excess = float(goal.tolerance.excess(*_told(image)))
+        foretold = planned and not few_tell(image)
+        met = int(image.samples) >= few and excess <= 1 and (foretold or not by_luck(passes, image, goal.tolerance))
+        each, more = took / more, top_up(image, excess, samples) if foretold else samples
+        if met or int(image.samples) + samples > goal.most or spent + each * more > goal.seconds:
+            return image, met
+
+
+def _told(image: Image) -> tuple[np.ndarray, np.ndarray]:
+    """Intensity and its standard error [band]."""
+    return np.asarray(image.radiant_intensity()), np.asarray(image.intensity_error())
+
+
+def by_luck(passes: list[Image], image: Image, tolerance: Tolerance) -> bool:
     """Whether a tolerance may be met because passes of equally many samples missed what is rare.
 
     The error that a pass tells is as uncertain as what it found, and small where it missed what is bright. So one pass
     suffices only with a third of the tolerance, and several with the error of the worst of them: stopping at the first
     small error would err by a quarter more than was asked, root mean square over keys.
     """
-    worst = np.max([np.asarray(one.intensity_error()) for one in passes], axis=0)
+    worst = np.max([_told(one)[1] for one in passes], axis=0)
     error = 3 * worst if len(passes) == 1 else worst / len(passes) ** 0.5
-    return bool((error > rtol * np.abs(np.asarray(image.radiant_intensity()))).any())
+    return bool(tolerance.excess(_told(image)[0], error) > 1)
 
 
 def prepare_image(
@@ -161,29 +196,28 @@ def prepare_image(
     key: Key[Array, ""] | None,
     method: Method | None,
     rtol: float | None,
+    atol: float | None,
     pixel_rtol: float | None,
     max_samples: int,
+    max_seconds: float | None,
     components: str | None,
-) -> Pass:
-    """Check what `render` is asked and make its first pass ready; arguments and errors as there."""
+) -> tuple[Pass, Goal | None]:
+    """Check what `render` is asked and make its first pass ready, and what errors it asks for; as there."""
     key = key_or_default(key)
-    for name, tolerance in (("rtol", rtol), ("pixel_rtol", pixel_rtol)):
-        if tolerance is None:
-            continue
-        if is_traced((scene, camera, key, method)):
-            raise ValueError(f"{name}: got values known only inside jit, expected a call outside it, or {name}=None")
-        require_rtol(tolerance, name)
+    goal = goal_of(rtol, atol, pixel_rtol, max_samples, max_seconds)
+    if goal is not None and is_traced((scene, camera, key, method)):
+        names = [name for name, asked in (("rtol", rtol), ("atol", atol), ("pixel_rtol", pixel_rtol)) if asked]
+        said = f"a call outside it, or {', '.join(f'{name}=None' for name in names)}"
+        raise ValueError(f"{', '.join(names)}: got values known only inside jit, expected {said}")
     if pixel_rtol is not None and samples is not None:
         raise ValueError(f"samples: got {samples} beside pixel_rtol, expected None: pixels get what they need")
-    least = samples if samples is not None else 8 if rtol is None and pixel_rtol is None else FEW
+    least = samples if samples is not None else 8 if goal is None else FEW
     if max_samples < least:
         raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
-    return first_pass(scene, camera, bands, key, least, Method() if method is None else method, components)
+    return first_pass(scene, camera, bands, key, least, Method() if method is None else method, components), goal
 
 
-def top_up(image: Image, rtol: float, most: int) -> int:
+def top_up(image: Image, excess: float, most: int) -> int:
     """Rays per pixel that an image lacks to meet a tolerance, at most `most`: its variance falls as theirs grow."""
-    error, intensity = np.asarray(image.intensity_error()), np.abs(np.asarray(image.radiant_intensity()))
-    short = np.max(np.divide(error, rtol * intensity, out=np.full_like(error, np.inf), where=intensity > 0))
-    wanted = min((short**2 - 1) * int(image.samples) * 1.1, most)
+    wanted = min((excess**2 - 1) * int(image.samples) * 1.1, most)
     return next((count for count in well_shaped(most) if count >= wanted), well_shaped(most)[-1])

@@ -15,7 +15,7 @@ from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import LOOKED, Look
 from jaxir.imaging._choices import FEW, Choice, Trial, cheapest, few_rays, rays_to_see, trials_of, where_it_varies
 from jaxir.imaging._chunks import Pass, first_pass
-from jaxir.imaging._repeated import require_rtol
+from jaxir.imaging._tolerance import Goal, Tolerance, goal_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene
 from jaxir.transport import ClosedForm, Method
@@ -44,7 +44,7 @@ class Plan(NamedTuple):
         samples: rays per pixel, in the mean where `render(rtol=)` places them where pixels vary.
         seconds: predicted, of the rays on the device in force; compiling and the call, some milliseconds, come on top.
         compile_seconds: what compiling the chosen method's pilot took, and solving for the light in plumes, once.
-        rtol: asked.
+        tolerance: asked.
         expected: predicted standard error over intensity, of the worst band.
         truncation: estimated share of the intensity that is left out of what particles scatter, of the worst band.
     """
@@ -54,7 +54,7 @@ class Plan(NamedTuple):
     samples: int
     seconds: float
     compile_seconds: float
-    rtol: float
+    tolerance: Tolerance
     expected: float
     truncation: float
 
@@ -67,69 +67,76 @@ def plan(
     scene: Scene,
     camera: Camera,
     bands: Nodes | Band | Sequence[Band],
-    rtol: float,
+    rtol: float | None = None,
     *,
+    atol: float | None = None,
     key: Key[Array, ""] | None = None,
     method: Method | None = None,
     max_samples: int = 4096,
+    max_seconds: float | None = None,
 ) -> Plan:
     """How to meet a tolerance on the intensity of every band, and at what cost, before an image is computed.
 
     What has no variance is chosen without trial: the exact sum over cells, delta sources. For reflected light, by a
     closed form where its conditions hold or sampled, every candidate computes a few chunks of the image; variance as
     it falls with the rays (`ErrorLaw`), and time, as it grows with them, decide. So for light that particles scatter,
-    sampled up to few or more orders or solved on a coarse or finer lattice: among those that leave out less of the
-    intensity than `rtol`, if there are any.
+    sampled up to few or more orders or solved on a coarse or finer lattice: among those that leave out less than the
+    error asked for, if there are any. Where the rays or seconds allowed suffice by no way it is that of least error.
 
     Args:
         scene: the scene.
         camera: the eye.
         bands: bands or nodes.
         rtol: standard error of the radiant intensity of every band over the intensity.
+        atol: the standard error that is good enough whatever the intensity [W sr-1]; with rtol, the larger of the two.
         key: random key of the pilots.
         method: kept if given; else its `direct` and `sampler` are chosen, where the scene has sources with an extent,
             or else, where it has particles, `orders` or `scattering`.
         max_samples: rays per pixel that must suffice.
+        max_seconds: of the rays of the image, that must suffice.
 
     Returns:
         The plan; `print` it.
 
     Raises:
-        ValueError: as `jaxir.render`; rtol <= 0 or beyond the precision in force, with the precision it needs.
+        ValueError: as `jaxir.render`; no tolerance, or one <= 0 or beyond the precision in force, with the precision
+            it needs.
     """
-    require_rtol(rtol)
+    goal = goal_of(rtol, atol, None, max_samples, max_seconds)
+    if goal is None:
+        raise ValueError("rtol: got None, expected rtol or atol")
     if is_traced((scene, camera, key, method)):
         raise ValueError("plan: got values known only inside jit, expected a call outside it")
     key = key_or_default(key)
     given = Method() if method is None else method
     first = first_pass(scene, camera, bands, key, FEW, given)
     few = few_rays(rays_to_see(first), max_samples)
-    return plan_pass(first.of(few), rtol, max_samples, method is not None)[0]
+    return plan_pass(first.of(few), goal, method is not None)[0]
 
 
-def plan_pass(first: Pass, rtol: float, most: int, asked: bool) -> tuple[Plan, Look | None]:
+def plan_pass(first: Pass, goal: Goal, asked: bool) -> tuple[Plan, Look | None]:
     """`plan` for a pass of `few_rays` that was checked, and what tells where its rays go, if not everywhere.
 
     Args:
         first: the pass.
-        rtol: as `plan`.
-        most: its `max_samples`.
+        goal: what is asked of the intensity.
         asked: whether the method is not to be chosen.
     """
-    scene = first.lit.scene
-    trials = trials_of(first, rtol, most, asked)
-    chosen, look = where_it_varies(cheapest(trials, rtol, most), rtol, most)
+    scene, tolerance = first.lit.scene, goal.tolerance
+    assert tolerance is not None
+    trials = trials_of(first, goal, asked)
+    chosen, look = where_it_varies(cheapest(trials, goal), goal)
     trial = chosen.trial
     terms = (
         *_along_the_ray(first.lit, first.camera),
         *_by_particles(scene, trials, chosen),
         *_at_the_skin(scene, trials, chosen, asked),
         *_beyond(scene),
-        _pixels(chosen, rtol, look),
+        _pixels(chosen, tolerance, look),
     )
     ready = trial.pilot.compile_seconds + trial.solving
-    found = Plan(terms, trial.method, chosen.samples, chosen.seconds, ready, rtol, chosen.expected, trial.truncation)
-    return found, look
+    cost = chosen.samples, chosen.seconds, ready
+    return Plan(terms, trial.method, *cost, tolerance, chosen.expected, trial.truncation), look
 
 
 def _along_the_ray(lit: Lit, camera: Camera) -> list[Term]:
@@ -223,13 +230,13 @@ def _beyond(scene: Scene) -> list[Term]:
     return terms
 
 
-def _pixels(chosen: Choice, rtol: float, look: Look | None) -> Term:
-    short = chosen.expected > rtol
+def _pixels(chosen: Choice, tolerance: Tolerance, look: Look | None) -> Term:
+    short = chosen.excess > 1
     rays = f"{chosen.samples} rays each, two in each of {chosen.samples // 2} strata"
     if look is not None:
         rays = f"{chosen.samples} rays each in the mean, {LOOKED} of them to find where the others are needed"
     reached = f"which is all that is allowed and reaches {chosen.expected:.2g}" if short else "which reaches"
-    goal = f"instead of {rtol:.2g}" if short else f"{chosen.expected:.2g} of the {rtol:.2g} asked"
+    goal = f"instead of {tolerance}" if short else f"{chosen.expected:.2g} of the {tolerance} asked"
     sentence = (
         f"{rays}, {reached} {goal} in about "
         f"{chosen.seconds:.2g} s (and {chosen.trial.pilot.compile_seconds:.2g} s to compile, once), for which "

@@ -15,80 +15,59 @@ has the mean of their variances over their number.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
-from jaxir._arrays import float_dtype
 from jaxir.imaging._devices import item_by_item
+from jaxir.imaging._tolerance import Tolerance, seconds_of, tolerance_of
 
 MARGIN = 0.9  # of the error asked for that is aimed at: what the first look tells is itself uncertain
 ROUNDS = 3  # at most, after the first look; each decides for the next
 ERRORS = (1, 4)  # places of standard errors in what a look finds
-LEAST = 8  # units of the last place: a relative tolerance below is beyond the precision in force
 FIRST = 1 / 3  # of the error asked for, at which the first look is the answer: few rays tell their own error poorly
 
 
-class Tolerance(NamedTuple):
-    """What is asked of the intensities of a view.
+class Repeats(NamedTuple):
+    """How long views are looked at.
 
     Attributes:
-        rtol: standard error as a share of the intensity.
-        atol: standard error that is good enough for any intensity [W sr-1].
+        tolerance: what is asked of each.
         looks: at a view, at most.
+        seconds: of all looks at all views, at most, without compiling; one look at each is taken in any case.
     """
 
-    rtol: float
-    atol: float
+    tolerance: Tolerance
     looks: int
-
-    def excess(
-        self, intensity: Float[np.ndarray, "*view band"], error: Float[np.ndarray, "*view band"]
-    ) -> Float[np.ndarray, "*view"]:
-        """Standard error over what is asked, of the worst band; 0 for what is exact, inf for what can not be met."""
-        asked = np.maximum(self.rtol * np.abs(intensity), self.atol)
-        beyond = np.where(error > 0, np.inf, 0.0)
-        return np.asarray(np.divide(error, asked, out=beyond, where=asked > 0).max(axis=-1))
+    seconds: float
 
 
-def require_rtol(rtol: float, name: str = "rtol") -> None:
-    """Raise `ValueError` unless the tolerance is positive and the precision in force can hold it."""
-    if not rtol > 0:
-        raise ValueError(f"{name}: got {rtol}, expected > 0")
-    dtype = float_dtype()
-    least = LEAST * float(np.finfo(dtype).eps)
-    if rtol < least:
-        double = LEAST * float(np.finfo(np.float64).eps)
-        need = "float64: jax.config.update('jax_enable_x64', True)" if rtol >= double else "more than float64"
-        raise ValueError(f"{name}: got {rtol}, expected at least {least:.2g} in {dtype}; {rtol} needs {need}")
-
-
-def require_tolerance(
-    rtol: float | None, atol: float | None, samples: int = 1, max_samples: int = 1
-) -> Tolerance | None:
-    """What is asked, None where nothing is.
+def repeats(
+    rtol: float | None, atol: float | None, samples: int, max_samples: int, max_seconds: float | None
+) -> Repeats | None:
+    """How long views are looked at; None for once.
 
     Args:
-        rtol: of `Tolerance`; None for 0.
-        atol: of `Tolerance`; None for 0.
+        rtol: of `tolerance_of`.
+        atol: of `tolerance_of`.
         samples: rays per pixel of one look.
         max_samples: of all looks at a view.
+        max_seconds: of all looks at all views; None for no limit.
 
     Raises:
-        ValueError: tolerances <= 0 or beyond the precision in force; fewer rays at most than those of one look.
+        ValueError: as `tolerance_of` and `seconds_of`; fewer rays at most than those of one look.
     """
-    if rtol is not None:
-        require_rtol(rtol)
-    if atol is not None and not 0 < atol < math.inf:
-        raise ValueError(f"atol: got {atol}, expected a finite value > 0")
-    if rtol is None and atol is None:
+    tolerance = tolerance_of(rtol, atol)
+    seconds = seconds_of(max_seconds, "rtol or atol", tolerance is not None)
+    if tolerance is None:
         return None
     if max_samples < samples:
         raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {samples}")
-    return Tolerance(rtol or 0.0, atol or 0.0, max_samples // samples)
+    return Repeats(tolerance, max_samples // samples, seconds)
 
 
 def until_met(
@@ -96,7 +75,7 @@ def until_met(
     inputs: Any,
     views: Int[np.ndarray, " some"],
     count: int,
-    tolerance: Tolerance | None,
+    asked: Repeats | None,
     label: str,
     devices: Mesh | None,
 ) -> Iterator[tuple[int, list[np.ndarray]]]:
@@ -108,17 +87,21 @@ def until_met(
         inputs: its first argument.
         views: those to look at.
         count: of all views.
-        tolerance: what is asked of each; None for one look.
+        asked: what is asked of each; None for one look.
         label: of the progress bar.
         devices: that share the looks; None for one.
     """
     wanted = {int(view): 1 for view in views}
     begin, squared = dict.fromkeys(wanted, 0), dict.fromkeys(wanted, 0.0)
+    left = math.inf if asked is None else asked.seconds
     for round_ in range(1 + ROUNDS):
         items = [v + count * number for v, looks in wanted.items() for number in range(begin[v], begin[v] + looks)]
         more: dict[int, int] = {}
+        short: dict[int, list[np.ndarray]] = {}
         seen: list[list[np.ndarray]] = []
+        times = []
         for index, found in item_by_item(look, inputs, np.asarray(items, np.int32), label, devices):
+            times.append(time.perf_counter())
             rows = [np.asarray(part)[None] if devices is None else np.asarray(part) for part in found]
             for place, item in enumerate(index.tolist()):
                 seen.append([part[place] for part in rows])
@@ -126,21 +109,33 @@ def until_met(
                 if len(seen) < wanted[view]:
                     continue
                 values, seen = _mean(seen), []
-                excess = 0.0 if tolerance is None else float(tolerance.excess(values[0], values[1]))
+                excess = 0.0 if asked is None else float(asked.tolerance.excess(values[0], values[1]))
                 begin[view] += wanted[view]
-                if tolerance is None or _ends(excess, round_, wanted[view], tolerance):
+                if asked is None or _ends(excess, round_, wanted[view] == asked.looks):
                     yield view, values
                 else:
                     squared[view] = max(squared[view], excess**2 * wanted[view])
-                    more[view] = max(1, math.ceil(min(squared[view] / MARGIN**2, tolerance.looks)))
+                    more[view] = max(1, math.ceil(min(squared[view] / MARGIN**2, asked.looks)))
+                    short[view] = values
         if not more:
             return
-        wanted = more
+        each = (times[-1] - times[0]) / max(len(items) - 1, 1)  # the first compiles
+        left -= each * len(items)
+        wanted = _in_time(more, left / each if each > 0 else math.inf)
+        yield from ((view, values) for view, values in short.items() if view not in wanted)
 
 
-def _ends(excess: float, round_: int, looks: int, tolerance: Tolerance) -> bool:
+def _in_time(wanted: dict[int, int], looks: float) -> dict[int, int]:
+    """Looks at each view, all shortened alike where so many are not allowed in all; none where not one at each is."""
+    total = sum(wanted.values())
+    if total <= looks:
+        return wanted
+    return {view: max(1, int(number * looks / total)) for view, number in wanted.items()} if looks > len(wanted) else {}
+
+
+def _ends(excess: float, round_: int, all_allowed: bool) -> bool:
     """Whether looks at a view are the answer: they meet what is asked, or no more will come."""
-    last = round_ == ROUNDS or round_ > 0 and looks == tolerance.looks
+    last = round_ == ROUNDS or round_ > 0 and all_allowed
     return excess <= (FIRST if round_ == 0 else 1) or last
 
 

@@ -21,7 +21,8 @@ from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import Division, Pass, division, estimate_chunk, eye_outside, reach_to_eye, whole_image
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.imaging._left_out import Asked
-from jaxir.imaging._repeated import Tolerance, require_tolerance, until_met
+from jaxir.imaging._repeated import Repeats, repeats, until_met
+from jaxir.imaging._tolerance import tolerance_of
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
 from jaxir.transport import (
@@ -85,7 +86,7 @@ class Signature(eqx.Module):
 
     def meets(self, rtol: float | None = None, atol: float | None = None) -> Bool[np.ndarray, " view"]:
         """Whether the standard error of every band of a view is within a tolerance, as `jaxir.signature` means it."""
-        asked = require_tolerance(rtol, atol)
+        asked = tolerance_of(rtol, atol)
         own = (np.asarray(part) for part in (self.intensity, self.standard_error))
         return np.ones(len(self.azimuth), bool) if asked is None else asked.excess(*own) <= 1
 
@@ -125,6 +126,7 @@ def signature(
     rtol: float | None = None,
     atol: float | None = None,
     max_samples: int = 4096,
+    max_seconds: float | None = None,
     devices: Mesh | None = None,
     components: str | None = None,
 ) -> Signature:
@@ -150,6 +152,8 @@ def signature(
         atol: the standard error that is good enough whatever the intensity [W sr-1], for contrasts near 0; with rtol,
             the larger of the two counts.
         max_samples: rays per pixel of a view at which to give up.
+        max_seconds: of all looks together at which to give up, without compiling; one look at each view is taken in any
+            case. Where it does not suffice, the same key does not give the same numbers again.
         devices: as `render`; views are shared out.
         components: as `render`, for `Signature.parts`.
 
@@ -161,7 +165,7 @@ def signature(
 
     Differentiable as `render`.
     """
-    tolerance = require_tolerance(rtol, atol, samples, max_samples)
+    until = repeats(rtol, atol, samples, max_samples, max_seconds)
     asked = prepare_views(
         scene,
         views,
@@ -175,33 +179,33 @@ def signature(
     )
     index = np.arange(asked.aspect.shape[0], dtype=np.int32)
     mesh = shared_by(devices, index.size, "views")
-    if tolerance is None:
+    if until is None:
         return remembering(over_items(view_intensity, whole_table, asked, index, "signature", mesh), scene, asked)
     found: list[Any] = [None] * index.size
-    for view, values in each_view(asked, index, tolerance, "signature", mesh):
+    for view, values in each_view(asked, index, until, "signature", mesh):
         found[view] = values
     stacked = tuple(placed(np.stack(part)) for part in zip(*found, strict=True))
     return remembering(whole_table(asked, stacked), scene, asked)
 
 
 def each_view(
-    views: Views, index: Int[np.ndarray, " some"], tolerance: Tolerance | None, label: str, devices: Mesh | None
+    views: Views, index: Int[np.ndarray, " some"], until: Repeats | None, label: str, devices: Mesh | None
 ) -> Iterator[tuple[int, list[np.ndarray]]]:
     """Views and what `view_intensity` finds of them, each as it is ready.
 
     Args:
         views: all of them.
         index: of those to look at.
-        tolerance: what is asked of each; None for one look.
+        until: what is asked of each; None for one look.
         label: of the progress bar.
         devices: of `shared_by`; None for one.
 
     Raises:
         ValueError: a tolerance for values known only inside jit.
     """
-    if tolerance is not None and is_traced(views):
+    if until is not None and is_traced(views):
         raise ValueError("rtol, atol: got values known only inside jit, expected a call outside it, or neither of them")
-    return until_met(view_intensity, views, index, views.aspect.shape[0], tolerance, label, devices)
+    return until_met(view_intensity, views, index, views.aspect.shape[0], until, label, devices)
 
 
 def remembering(table: Signature, scene: Scene, views: Views) -> Signature:
@@ -255,10 +259,11 @@ def check_views(
     rtol: float | None,
     atol: float | None,
     max_samples: int,
+    max_seconds: float | None,
     components: str | None,
 ) -> None:
     """Raise what `signature` would, before anything is computed; arguments and errors as there."""
-    require_tolerance(rtol, atol, samples, max_samples)
+    repeats(rtol, atol, samples, max_samples, max_seconds)
     aspect, nodes, away = _checked(scene, views, bands, distance, Method() if method is None else method)
     pixel_strata(samples)
     resolved = (Method() if method is None else method).resolved(scene)

@@ -108,6 +108,17 @@ def test_what_comes_with_the_radiance_is_averaged_by_the_same_rays():
     assert abs(float((image.radiant_intensity() - even.radiant_intensity())[0])) < 4 * error
 
 
+def test_seconds_end_it_with_what_they_allowed():
+    """Where they suffice they change nothing; where there are none the pilot is the answer."""
+    asked = {"pixel_rtol": 1e-2}
+    free, ample, none = (rendered(3, **asked, max_seconds=seconds) for seconds in (None, 1e9, 1e-9))
+    assert bool(ample.outcome == jaxir.Outcome.tolerance_met) and bool(none.outcome == jaxir.Outcome.samples_spent)
+    np.testing.assert_array_equal(np.asarray(ample.radiance), np.asarray(free.radiance))
+    assert int(none.samples) == 8 and float(none.intensity_error()[0]) > float(free.intensity_error()[0])
+    split = rendered(3, **asked, max_seconds=1e-9, components="sources")
+    np.testing.assert_allclose(split.component_intensity().sum(axis=0), none.radiant_intensity(), rtol=1e-5)
+
+
 @pytest.mark.parametrize("powers", [(1.0, 1.0), (1.5, 2.2)])
 def test_one_more_ray_is_worth_the_same_in_every_pixel(powers):
     rng = np.random.default_rng(3)
@@ -122,6 +133,10 @@ def test_one_more_ray_is_worth_the_same_in_every_pixel(powers):
     assert worth.std() < 0.1 * worth.mean()
     capped = placement(constant, power, 64)
     assert capped.max() <= 32
+    rays = 2 * (count - 1).sum()
+    short = placement(constant, power, 2**40, rays / 10)
+    assert 0.9 * rays / 10 < 2 * (short - 1).sum() <= rays / 10
+    assert (short <= count).all()
     strata = strata_of(count, CAMERA)
     assert (strata.count == count[strata.row, strata.column]).all() and strata.count.min() > 1
 
@@ -138,6 +153,9 @@ def test_strata_are_nearly_square_and_near_what_is_wanted():
     [
         ({"pixel_rtol": 0.0}, "pixel_rtol: got 0.0, expected > 0"),
         ({"pixel_rtol": 1e-9}, "pixel_rtol: got 1e-09, expected at least"),
+        ({"pixel_rtol": 0.1, "atol": 0.0}, "atol: got 0.0, expected a finite value > 0"),
+        ({"pixel_rtol": 0.1, "max_seconds": -1.0}, "max_seconds: got -1.0, expected > 0"),
+        ({"max_seconds": 1.0}, "max_seconds: got 1.0 alone, expected rtol, atol or pixel_rtol beside it"),
         ({"pixel_rtol": 1e-2, "samples": 8}, "samples: got 8 beside pixel_rtol"),
     ],
 )

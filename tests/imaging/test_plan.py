@@ -84,6 +84,37 @@ def test_samples_that_do_not_suffice_are_said_so():
     assert "which is all that is allowed" in str(found)
 
 
+def test_an_absolute_error_is_enough_for_a_band_that_is_faint():
+    """The plate sends a fifth of its LWIR in the MWIR, and its edges vary as much."""
+    bands, key = (jaxir.MWIR, jaxir.LWIR), jax.random.key(3)
+    lit = jaxir.Scene(plate(), sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), [1.0, 100.0]),))
+    every = jaxir.plan(lit, CAMERA, bands, 2e-3, key=key)
+    intensity = np.asarray(jaxir.render(lit, CAMERA, bands, samples=8).radiant_intensity())
+    assert intensity[0] < intensity[1] / 5
+    alike = jaxir.plan(lit, CAMERA, bands, atol=2e-3 * float(intensity[1]), key=key)
+    larger = jaxir.plan(lit, CAMERA, bands, 1e-5, atol=2e-3 * float(intensity[1]), key=key)
+    assert alike.samples == larger.samples <= every.samples
+    assert str(every).count("of the 0.002 asked") == 1 and "W/sr asked" in str(alike) and " or " in str(larger)
+    image = jaxir.render(lit, CAMERA, bands, atol=2e-3 * float(intensity[1]), key=key)
+    assert image.outcome == jaxir.Outcome.tolerance_met and int(image.samples) == alike.samples
+    assert (np.asarray(image.intensity_error()) <= 2e-3 * intensity[1] * 1.01).all()
+    coarse = jaxir.plan(lit, CAMERA, bands, atol=0.2 * float(intensity[0]), key=key)
+    assert coarse.samples < every.samples
+    with pytest.raises(ValueError, match="rtol: got None, expected rtol or atol"):
+        jaxir.plan(lit, CAMERA, bands)
+
+
+def test_seconds_bound_the_rays_of_a_plan():
+    free = jaxir.plan(SUNLIT, CAMERA, jaxir.LWIR, 1e-5, max_samples=512)
+    short = jaxir.plan(SUNLIT, CAMERA, jaxir.LWIR, 1e-5, max_samples=512, max_seconds=free.seconds / 8)
+    assert short.samples < free.samples / 2 and short.seconds <= free.seconds / 8
+    assert "which is all that is allowed" in str(short)
+    ended = jaxir.render(SUNLIT, CAMERA, jaxir.LWIR, rtol=1e-5, max_samples=512, max_seconds=1e-9)
+    assert ended.outcome == jaxir.Outcome.samples_spent and int(ended.samples) == 2
+    passes = jaxir.render(SUNLIT, CAMERA, jaxir.LWIR, rtol=1e-5, samples=2, max_samples=512, max_seconds=1e-9)
+    assert passes.outcome == jaxir.Outcome.samples_spent and int(passes.samples) == 2
+
+
 def test_a_pilot_of_all_chunks_is_the_image():
     taken = first_pass(SUNLIT, CAMERA, jaxir.LWIR, jax.random.key(5), 24, jaxir.Method())
     seen = pilot(taken)

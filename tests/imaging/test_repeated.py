@@ -77,6 +77,23 @@ def test_an_absolute_error_and_a_budget_end_it_too(looks):
     assert max(np.bincount(looks)) == 1 + 8 // RASTER["samples"]
 
 
+def test_seconds_end_it_with_what_they_allowed(looks, monkeypatch):
+    """A clock that counts looks: a second each."""
+    monkeypatch.setattr(repeated.time, "perf_counter", lambda: float(len(looks)))
+    free = seen(rtol=1e-2)
+    everything = len(looks)
+    del looks[:]
+    again = seen(rtol=1e-2, max_seconds=1.5 * everything)
+    np.testing.assert_array_equal(np.asarray(again.intensity), np.asarray(free.intensity))
+    del looks[:]
+    short = seen(rtol=1e-2, max_seconds=everything / 2)
+    assert everything / 4 < len(looks) <= everything / 2 and not short.meets(1e-2)[:3].all()
+    del looks[:]
+    first, once = seen(rtol=1e-2, max_seconds=len(VIEWS) + 0.5), seen()
+    assert len(looks) == len(VIEWS)
+    np.testing.assert_array_equal(np.asarray(first.intensity), np.asarray(once.intensity))
+
+
 def test_components_are_of_the_same_looks():
     table = seen(rtol=1e-2, components="sources")
     np.testing.assert_allclose(np.asarray(table.parts).sum(axis=1), table.intensity, rtol=1e-5)
@@ -107,6 +124,8 @@ def test_a_sweep_gives_the_same_also_where_it_goes_on(tmp_path, looks):
         ({"atol": -1.0}, "atol: got -1.0, expected a finite value > 0"),
         ({"atol": np.nan}, "atol: got nan, expected a finite value > 0"),
         ({"rtol": 0.1, "max_samples": 1}, "max_samples: got 1, expected at least samples = 2"),
+        ({"rtol": 0.1, "max_seconds": 0.0}, "max_seconds: got 0.0, expected > 0"),
+        ({"max_seconds": 3.0}, "max_seconds: got 3.0 alone, expected rtol or atol beside it"),
     ],
 )
 def test_what_cannot_be_asked_is_refused(asked, said, tmp_path):
@@ -127,7 +146,7 @@ def test_a_scene_file_asks_for_it_and_what_is_missed_is_said(tmp_path, capsys):
     assert (error <= 0.01 * intensity).all() and (error[:2] > 0).all()
     short = str(write_scene(tmp_path, lit + views + "max_samples = 4\n"))
     assert main(["signature", short, *out]) == 0
-    assert "signature.rtol was not met in 2 of 3 views with 4 samples" in capsys.readouterr().err
+    assert "signature.rtol was not met in 2 of 3 views (max_samples = 4)" in capsys.readouterr().err
 
 
 def test_a_tolerance_below_jit_is_refused():

@@ -25,7 +25,7 @@ from jaxir.imaging import (
     each_view,
     prepare_views,
     remembering,
-    require_tolerance,
+    repeats,
     shared_by,
     whole_table,
 )
@@ -56,6 +56,7 @@ def sweep(
     rtol: float | None = None,
     atol: float | None = None,
     max_samples: int = 4096,
+    max_seconds: float | None = None,
     devices: Mesh | None = None,
     components: str | None = None,
 ) -> Signature:
@@ -85,6 +86,7 @@ def sweep(
         rtol: as `jaxir.signature`, and so on; a view is written when it keeps to it or gives up.
         atol: as `jaxir.signature`.
         max_samples: as `jaxir.signature`.
+        max_seconds: as `jaxir.signature`, of what is left to do; with `over` of every combination.
         devices: as `jaxir.signature`.
         components: as `jaxir.signature`.
 
@@ -99,12 +101,12 @@ def sweep(
     """
     if over is not None:
         own = {"distance": distance, "shape": shape, "samples": samples, "key": key, "method": method}
-        own |= {"rtol": rtol, "atol": atol, "max_samples": max_samples}
+        own |= {"rtol": rtol, "atol": atol, "max_samples": max_samples, "max_seconds": max_seconds}
         return _over(Path(folder), scene, views, bands, over, {**own, "devices": devices, "components": components})
     assert isinstance(scene, Scene)
     if is_traced((scene, views, distance, key, method)):
         raise ValueError("sweep: got values known only inside jit, expected a call outside it")
-    tolerance = require_tolerance(rtol, atol, samples, max_samples)
+    until = repeats(rtol, atol, samples, max_samples, max_seconds)
     asked = prepare_views(
         scene,
         views,
@@ -125,13 +127,13 @@ def sweep(
         method=asked.method,
         key=jax.random.key_data(key_or_default(key)),
         **({} if components is None else {"components": components}),
-        **({} if tolerance is None else {"tolerance": tolerance}),
+        **({} if until is None else {"tolerance": until}),
     )
     files = _Folder(Path(folder), asked)
     count = asked.aspect.shape[0]
     there = _from_first(lambda: files.finished(conditions), np.zeros(count, bool))
     to_do = np.flatnonzero(~there).astype(np.int32)
-    for view, values in each_view(asked, to_do, tolerance, "sweep", mesh):
+    for view, values in each_view(asked, to_do, until, "sweep", mesh):
         if jax.process_index() == 0:
             files.write(view, values)
     empty = tuple(np.zeros((count, *shape), asked.aspect.dtype) for shape in files.shapes)

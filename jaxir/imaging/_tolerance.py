@@ -1,0 +1,143 @@
+"""What is asked of intensities and images, and what they may cost."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxir._arrays import float_dtype
+from jaxir.imaging._image import Image
+
+LEAST = 8  # units of the last place: a relative tolerance below is beyond the precision in force
+
+
+class Tolerance(NamedTuple):
+    """What is asked of the intensities of a view or an image.
+
+    Attributes:
+        rtol: standard error as a share of the intensity.
+        atol: standard error that is good enough for any intensity [W sr-1].
+    """
+
+    rtol: float
+    atol: float
+
+    def __str__(self) -> str:
+        """Those of the two that are asked."""
+        return " or ".join([f"{self.rtol:.2g}"] * (self.rtol > 0) + [f"{self.atol:.2g} W/sr"] * (self.atol > 0))
+
+    def allowed(self, intensity: Float[np.ndarray, "*view band"]) -> Float[np.ndarray, "*view band"]:
+        """Standard error that is good enough [W sr-1]."""
+        return np.maximum(self.rtol * np.abs(intensity), self.atol)
+
+    def excess(
+        self, intensity: Float[np.ndarray, "*view band"], error: Float[np.ndarray, "*view band"]
+    ) -> Float[np.ndarray, "*view"]:
+        """Error over what is asked, of the worst band; 0 for what is exact, inf for what can not be met."""
+        asked = self.allowed(intensity)
+        beyond = np.where(error > 0, np.inf, 0.0)
+        return np.asarray(np.divide(error, asked, out=beyond, where=asked > 0).max(axis=-1))
+
+
+class Goal(NamedTuple):
+    """What is asked of an image, None for what is not, and what it may cost.
+
+    Attributes:
+        tolerance: of its radiant intensity.
+        pixel_rtol: root mean square error over the pixels that see the target, of their mean contrast to the empty
+            image, of every band.
+        most: rays in a pixel.
+        seconds: of all rays, those of pilots with them, on the device in force, without compiling.
+    """
+
+    tolerance: Tolerance | None
+    pixel_rtol: float | None
+    most: int
+    seconds: float
+
+    def weight(self, image: Image) -> Float[np.ndarray, "row column band"]:
+        """w of each pixel: the errors asked for are met where sum_p w_p v_p <= 1 in every band, v_p the variances."""
+        contrast = np.abs(np.asarray(image.radiance, np.float64) - np.asarray(image.empty, np.float64))
+        weight = np.zeros_like(contrast)
+        if self.pixel_rtol is not None:
+            seen = (contrast > 0).sum(axis=(0, 1))
+            allowed = seen * (self.pixel_rtol * contrast.sum(axis=(0, 1)) / np.maximum(seen, 1)) ** 2
+            weight = np.maximum(weight, _over(1.0, allowed))
+        if self.tolerance is not None:
+            area = np.asarray(image.camera.pixel_area(), np.float64)[:, :, None]
+            intensity = np.asarray(image.radiant_intensity(), np.float64)
+            weight = np.maximum(weight, _over(area**2, self.tolerance.allowed(intensity) ** 2))
+        return weight
+
+    def excess(self, image: Image) -> float:
+        """Error of an image over the error asked for, of the worst band."""
+        variance = np.asarray(image.standard_error, np.float64) ** 2
+        return float(np.sqrt((self.weight(image) * variance).sum(axis=(0, 1)).max()))
+
+
+def _over(value: float | np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """value / allowed; 0 for a dark band, of which nothing can be asked."""
+    return np.where(allowed > 0, value / np.where(allowed > 0, allowed, 1), 0)
+
+
+def goal_of(
+    rtol: float | None, atol: float | None, pixel_rtol: float | None, max_samples: int, max_seconds: float | None
+) -> Goal | None:
+    """What is asked of an image; None where no error is.
+
+    Raises:
+        ValueError: as `tolerance_of`, of `pixel_rtol` too, and as `seconds_of`.
+    """
+    tolerance = tolerance_of(rtol, atol)
+    if pixel_rtol is not None:
+        require_rtol(pixel_rtol, "pixel_rtol")
+    asked = tolerance is not None or pixel_rtol is not None
+    seconds = seconds_of(max_seconds, "rtol, atol or pixel_rtol", asked)
+    return Goal(tolerance, pixel_rtol, max_samples, seconds) if asked else None
+
+
+def seconds_of(max_seconds: float | None, names: str, asked: bool) -> float:
+    """Seconds that are allowed, inf where None is given.
+
+    Raises:
+        ValueError: none are allowed, or none of the errors with these names is asked for.
+    """
+    if max_seconds is None:
+        return math.inf
+    if not max_seconds > 0:
+        raise ValueError(f"max_seconds: got {max_seconds}, expected > 0")
+    if not asked:
+        raise ValueError(f"max_seconds: got {max_seconds} alone, expected {names} beside it")
+    return float(max_seconds)
+
+
+def require_rtol(rtol: float, name: str = "rtol") -> None:
+    """Raise `ValueError` unless the tolerance is positive and the precision in force can hold it."""
+    if not rtol > 0:
+        raise ValueError(f"{name}: got {rtol}, expected > 0")
+    dtype = float_dtype()
+    least = LEAST * float(np.finfo(dtype).eps)
+    if rtol < least:
+        double = LEAST * float(np.finfo(np.float64).eps)
+        need = "float64: jax.config.update('jax_enable_x64', True)" if rtol >= double else "more than float64"
+        raise ValueError(f"{name}: got {rtol}, expected at least {least:.2g} in {dtype}; {rtol} needs {need}")
+
+
+def tolerance_of(rtol: float | None, atol: float | None) -> Tolerance | None:
+    """What is asked, None where nothing is.
+
+    Args:
+        rtol: of `Tolerance`; None for 0.
+        atol: of `Tolerance`; None for 0.
+
+    Raises:
+        ValueError: tolerances <= 0 or beyond the precision in force.
+    """
+    if rtol is not None:
+        require_rtol(rtol)
+    if atol is not None and not 0 < atol < math.inf:
+        raise ValueError(f"atol: got {atol}, expected a finite value > 0")
+    return None if rtol is None and atol is None else Tolerance(rtol or 0.0, atol or 0.0)
