@@ -91,9 +91,10 @@ def until_met(
         label: of the progress bar.
         devices: that share the looks; None for one.
     """
-    wanted = {int(view): 1 for view in views}
+    left, each = math.inf if asked is None else asked.seconds, 0.0
+    first = 2 if len(views) == 1 and left < math.inf else 1  # the first look compiles and tells no time
+    wanted = {int(view): first for view in views}
     begin, squared = dict.fromkeys(wanted, 0), dict.fromkeys(wanted, 0.0)
-    left = math.inf if asked is None else asked.seconds
     for round_ in range(1 + ROUNDS):
         items = [v + count * number for v, looks in wanted.items() for number in range(begin[v], begin[v] + looks)]
         more: dict[int, int] = {}
@@ -119,7 +120,7 @@ def until_met(
                     short[view] = values
         if not more:
             return
-        each = (times[-1] - times[0]) / max(len(items) - 1, 1)  # the first compiles
+        each = (times[-1] - times[0]) / (len(items) - 1) if len(items) > 1 else each
         left -= each * len(items)
         wanted = _in_time(more, left / each if each > 0 else math.inf)
         yield from ((view, values) for view, values in short.items() if view not in wanted)

@@ -92,6 +92,9 @@ def test_seconds_end_it_with_what_they_allowed(looks, monkeypatch):
     first, once = seen(rtol=1e-2, max_seconds=len(VIEWS) + 0.5), seen()
     assert len(looks) == len(VIEWS)
     np.testing.assert_array_equal(np.asarray(first.intensity), np.asarray(once.intensity))
+    del looks[:]
+    jaxir.signature(SCENE, VIEWS[:1], jaxir.LWIR, **RASTER, rtol=1e-3, max_seconds=20.0)
+    assert 15 < len(looks) <= 20
 
 
 def test_components_are_of_the_same_looks():
