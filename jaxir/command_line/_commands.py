@@ -55,8 +55,8 @@ def render_command(arguments: argparse.Namespace) -> None:
             asked = read.render | split_by(arguments)
             image = naming(read, partial(render, scene, camera, read.bands, method=read.method, **asked))
             if bool(image.outcome == Outcome.samples_spent):
-                missed = " and ".join(f"render.{name}" for name in ("rtol", "atol", "pixel_rtol") if name in asked)
-                said = f"{read.file}: {missed} was not met with {int(image.samples)} samples"
+                missed = " or ".join(f"render.{name}" for name in ("rtol", "atol", "pixel_rtol") if name in asked)
+                said = f"{read.file}: {missed} was not met with {int(image.samples)} samples ({_limits(render, asked)})"
                 warnings.warn(said, stacklevel=1)
             errors = image.error_budget(arguments.errors)
             warn_of_errors(read, errors)
@@ -96,11 +96,17 @@ def warn_of_missed(read: SceneFile, table: Signature) -> None:
     asked = {name: value for name in ("rtol", "atol") if (value := read.signature.get(name)) is not None}
     missed = int(np.sum(~table.meets(**asked)))
     if missed:
-        given = {name: one.default for name, one in inspect.signature(signature).parameters.items()} | read.signature
-        ends = [f"{name} = {given[name]}" for name in ("max_samples", "max_seconds") if given[name] is not None]
-        names = " and ".join(f"signature.{name}" for name in asked)
+        names = " or ".join(f"signature.{name}" for name in asked)
         views = f"{missed} of {len(table.azimuth)} views"
-        warnings.warn(f"{read.file}: {names} was not met in {views} ({' or '.join(ends)})", stacklevel=2)
+        warnings.warn(
+            f"{read.file}: {names} was not met in {views} ({_limits(signature, read.signature)})", stacklevel=2
+        )
+
+
+def _limits(entry: Callable, asked: dict[str, Any]) -> str:
+    """What ends the rays of an entry, of what it was asked and its defaults."""
+    given = _defaults(entry) | asked
+    return " or ".join(f"{name} = {given[name]}" for name in ("max_samples", "max_seconds") if given[name] is not None)
 
 
 def signature_command(arguments: argparse.Namespace) -> None:
@@ -209,5 +215,9 @@ def check(read: SceneFile) -> None:
 
 def _prepare(preparing: Callable, entry: Callable, **given: Any) -> None:
     """Call what prepares an entry with what it would be given, its defaults included."""
-    entire = {name: one.default for name, one in inspect.signature(entry).parameters.items()} | given
+    entire = _defaults(entry) | given
     preparing(**{name: entire[name] for name in inspect.signature(preparing).parameters})
+
+
+def _defaults(entry: Callable) -> dict[str, Any]:
+    return {name: one.default for name, one in inspect.signature(entry).parameters.items()}

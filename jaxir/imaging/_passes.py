@@ -119,10 +119,11 @@ def render(
         asked = Asked(scene, first.lit.nodes, camera, first.method)
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
-    parts = PARTS if devices is None else max(PARTS, devices.size)
+    parts, planned = PARTS if devices is None else max(PARTS, devices.size), samples is None and pixel_rtol is None
+    samples = 8 if samples is None else samples
     if goal is None:
-        return ended(even_image(first._replace(parts=parts), 0, samples or 8, mesh, alone=True), None)
-    wanted, planned, look = rays_to_see(first), samples is None and pixel_rtol is None, None
+        return ended(even_image(first._replace(parts=parts), 0, samples, mesh, alone=True), None)
+    wanted, look = rays_to_see(first), None
     few, sees = few_rays(wanted, max_samples), wanted <= max_samples
     if planned:
         found, look = plan_pass(first._replace(components=None).of(few), goal, method is not None)
@@ -130,7 +131,7 @@ def render(
         samples = found.samples
     first = first._replace(parts=parts)
     if pixel_rtol is None and look is None:
-        image, met = repeated(first, goal, samples or 8, planned, few, mesh)
+        image, met = repeated(first, goal, samples, planned, few, mesh)
         return ended(image, met and sees)
     if look is None or (look.ends(goal) and first.components is not None):  # the answer, of which no parts were asked
         look = looked(first, goal, mesh, well_shaped(few // PILOT)[-1])
