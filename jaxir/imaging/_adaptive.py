@@ -46,7 +46,7 @@ from jaxir.imaging._chunks import (
 )
 from jaxir.imaging._devices import over_items, progress
 from jaxir.imaging._image import Image, joined
-from jaxir.imaging._tolerance import Goal
+from jaxir.imaging._tolerance import FIRST, Goal
 
 PILOT = 4  # passes of the pilot, of two rays per pixel each
 LOOKED = 2 * PILOT  # its rays per pixel
@@ -135,7 +135,7 @@ def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> L
         passes.append(even_image(first, number, few, mesh=mesh))
         times.append(time.perf_counter() - began)
     image = reduce(joined, passes)
-    met = goal.excess(image) <= 1 / 3  # few rays tell their own error poorly
+    met = goal.excess(image) <= FIRST
     varied, mean = _of_a_pass(passes), np.asarray(image.radiance, np.float64)
     noisy = first.method.needs_key(first.lit.scene)
     laws = [NOISE, NOISE] if noisy else [SMOOTH, EDGES]

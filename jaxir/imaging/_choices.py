@@ -108,13 +108,7 @@ def _trial(first: Pass, goal: Goal, solving: float = 0.0) -> Trial:
     found = pilot(first, _lattice_error(first.lit, first.camera))
     intensity = np.abs(found.intensity)
     left_out = np.multiply(found.truncation, intensity, out=np.zeros_like(intensity), where=intensity > 0)
-    return Trial(first, found, _excess(goal, intensity, left_out), solving)
-
-
-def _excess(goal: Goal, intensity: np.ndarray, error: np.ndarray) -> float:
-    """Error over what is asked, of the worst band."""
-    assert goal.tolerance is not None
-    return float(goal.tolerance.excess(intensity, error))
+    return Trial(first, found, float(goal.tolerance.excess(intensity, left_out)), solving)
 
 
 _lattice_error = program(lattice_error)
@@ -257,7 +251,6 @@ def _cost(choice: Choice) -> tuple[float, float]:
 
 def _choice(trial: Trial, law: ErrorLaw, growth: float, goal: Goal) -> Choice:
     """Rays per pixel and time that a method needs; `growth` of the time with each ray more, in that of a pilot."""
-    assert goal.tolerance is not None
     intensity = np.abs(trial.pilot.intensity)
     in_time = trial.few + (goal.seconds / trial.pilot.seconds - 1) / growth
     most = max(int(min(goal.most, in_time)), trial.few)
@@ -265,4 +258,5 @@ def _choice(trial: Trial, law: ErrorLaw, growth: float, goal: Goal) -> Choice:
     error = np.sqrt(law.variance(samples))
     expected = float(np.max(np.divide(error, intensity, out=np.full_like(error, np.inf), where=intensity > 0)))
     seconds = trial.pilot.seconds * (1 + growth * (samples - trial.few))
-    return Choice(trial, law, samples, seconds, expected if error.any() else 0.0, _excess(goal, intensity, error))
+    excess = float(goal.tolerance.excess(intensity, error))
+    return Choice(trial, law, samples, seconds, expected if error.any() else 0.0, excess)

@@ -24,7 +24,7 @@ from jaxir.imaging._image import Image, Outcome, few_tell, joined
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._pilot import well_shaped
 from jaxir.imaging._planning import plan_pass
-from jaxir.imaging._tolerance import Goal, Tolerance, goal_of
+from jaxir.imaging._tolerance import FIRST, Goal, goal_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
 from jaxir.transport import Method, with_scattered
@@ -119,12 +119,13 @@ def render(
         asked = Asked(scene, first.lit.nodes, camera, first.method)
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
-    parts, planned = PARTS if devices is None else max(PARTS, devices.size), samples is None and pixel_rtol is None
+    parts = PARTS if devices is None else max(PARTS, devices.size)
+    planned = samples is None and pixel_rtol is None
     samples = 8 if samples is None else samples
     if goal is None:
         return ended(even_image(first._replace(parts=parts), 0, samples, mesh, alone=True), None)
     wanted, look = rays_to_see(first), None
-    few, sees = few_rays(wanted, max_samples), wanted <= max_samples
+    few = few_rays(wanted, max_samples)
     if planned:
         found, look = plan_pass(first._replace(components=None).of(few), goal, method is not None)
         first = first._replace(method=found.method, lit=with_scattered(first.lit, found.method))
@@ -132,11 +133,11 @@ def render(
     first = first._replace(parts=parts)
     if pixel_rtol is None and look is None:
         image, met = repeated(first, goal, samples, planned, few, mesh)
-        return ended(image, met and sees)
-    if look is None or (look.ends(goal) and first.components is not None):  # the answer, of which no parts were asked
-        look = looked(first, goal, mesh, well_shaped(few // PILOT)[-1])
-    image, met = adapted(first, goal, look, mesh)
-    return ended(image, met and sees)
+    else:
+        if look is None or (look.ends(goal) and first.components is not None):  # of the answer no parts were asked
+            look = looked(first, goal, mesh, well_shaped(few // PILOT)[-1])
+        image, met = adapted(first, goal, look, mesh)
+    return ended(image, met and wanted <= max_samples)
 
 
 def repeated(
@@ -152,40 +153,39 @@ def repeated(
         few: rays per pixel, of fewer of which a target may have been missed.
         mesh: devices that share it, of `shared_by`.
     """
-    assert goal.tolerance is not None
     if goal.seconds < math.inf:  # so that no pass is timed while it compiles
-        _ = jax.block_until_ready(of_items(estimate_chunk, first.of(samples))(first.of(samples).chunks()[0]))
-    passes: list[Image] = []
-    image, more, spent = None, samples, 0.0
+        taken = first.of(samples)
+        jax.block_until_ready(of_items(estimate_chunk, taken)(taken.chunks()[0]))
+    image, more, spent, count, worst = None, samples, 0.0, 0, np.zeros(())
     while True:
         began = time.perf_counter()
-        passes.append(jax.block_until_ready(even_image(first, len(passes), more, mesh)))
+        own = jax.block_until_ready(even_image(first, count, more, mesh))
         took = time.perf_counter() - began
-        spent += took
-        image = passes[0] if image is None else joined(image, passes[-1])
-        excess = float(goal.tolerance.excess(*_told(image)))
+        spent, count = spent + took, count + 1
+        worst = np.maximum(worst, np.asarray(own.intensity_error()))
+        image = own if image is None else joined(image, own)
+        intensity = np.asarray(image.radiant_intensity())
+        excess = float(goal.tolerance.excess(intensity, np.asarray(image.intensity_error())))
         foretold = planned and not few_tell(image)
-        met = int(image.samples) >= few and excess <= 1 and (foretold or not by_luck(passes, image, goal.tolerance))
+        sure = foretold or not by_luck(count, float(goal.tolerance.excess(intensity, worst)))
+        met = int(image.samples) >= few and excess <= 1 and sure
         each, more = took / more, top_up(image, excess, samples) if foretold else samples
         if met or int(image.samples) + samples > goal.most or spent + each * more > goal.seconds:
             return image, met
 
 
-def _told(image: Image) -> tuple[np.ndarray, np.ndarray]:
-    """Intensity and its standard error [band]."""
-    return np.asarray(image.radiant_intensity()), np.asarray(image.intensity_error())
-
-
-def by_luck(passes: list[Image], image: Image, tolerance: Tolerance) -> bool:
+def by_luck(count: int, worst: float) -> bool:
     """Whether a tolerance may be met because passes of equally many samples missed what is rare.
 
     The error that a pass tells is as uncertain as what it found, and small where it missed what is bright. So one pass
-    suffices only with a third of the tolerance, and several with the error of the worst of them: stopping at the first
+    suffices only with `FIRST` of the tolerance, and several with the error of the worst of them: stopping at the first
     small error would err by a quarter more than was asked, root mean square over keys.
+
+    Args:
+        count: of passes.
+        worst: error of the worst of them over the error asked for.
     """
-    worst = np.max([_told(one)[1] for one in passes], axis=0)
-    error = 3 * worst if len(passes) == 1 else worst / len(passes) ** 0.5
-    return bool(tolerance.excess(_told(image)[0], error) > 1)
+    return worst > FIRST if count == 1 else worst > count**0.5
 
 
 def prepare_image(

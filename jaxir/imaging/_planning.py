@@ -123,7 +123,6 @@ def plan_pass(first: Pass, goal: Goal, asked: bool) -> tuple[Plan, Look | None]:
         asked: whether the method is not to be chosen.
     """
     scene, tolerance = first.lit.scene, goal.tolerance
-    assert tolerance is not None
     trials = trials_of(first, goal, asked)
     chosen, look = where_it_varies(cheapest(trials, goal), goal)
     trial = chosen.trial

@@ -24,12 +24,11 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Int
 
 from jaxir.imaging._devices import item_by_item
-from jaxir.imaging._tolerance import Tolerance, seconds_of, tolerance_of
+from jaxir.imaging._tolerance import FIRST, Tolerance, seconds_of, tolerance_of
 
 MARGIN = 0.9  # of the error asked for that is aimed at: what the first look tells is itself uncertain
 ROUNDS = 3  # at most, after the first look; each decides for the next
 ERRORS = (1, 4)  # places of standard errors in what a look finds
-FIRST = 1 / 3  # of the error asked for, at which the first look is the answer: few rays tell their own error poorly
 
 
 class Repeats(NamedTuple):

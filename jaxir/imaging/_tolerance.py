@@ -12,6 +12,7 @@ from jaxir._arrays import float_dtype
 from jaxir.imaging._image import Image
 
 LEAST = 8  # units of the last place: a relative tolerance below is beyond the precision in force
+FIRST = 1 / 3  # of the error asked for, at which a first look is the answer: few rays tell their own error poorly
 
 
 class Tolerance(NamedTuple):
@@ -42,18 +43,21 @@ class Tolerance(NamedTuple):
         return np.asarray(np.divide(error, asked, out=beyond, where=asked > 0).max(axis=-1))
 
 
+ANY = Tolerance(0.0, math.inf)  # where nothing is asked
+
+
 class Goal(NamedTuple):
-    """What is asked of an image, None for what is not, and what it may cost.
+    """What is asked of an image and what it may cost.
 
     Attributes:
-        tolerance: of its radiant intensity.
+        tolerance: of its radiant intensity; `ANY` where only its pixels count.
         pixel_rtol: root mean square error over the pixels that see the target, of their mean contrast to the empty
-            image, of every band.
+            image, of every band; None where it is not asked.
         most: rays in a pixel.
-        seconds: of all rays, those of pilots with them, on the device in force, without compiling.
+        seconds: of its rays and of those of a look at all of it, on the device in force, without compiling.
     """
 
-    tolerance: Tolerance | None
+    tolerance: Tolerance
     pixel_rtol: float | None
     most: int
     seconds: float
@@ -66,11 +70,9 @@ class Goal(NamedTuple):
             seen = (contrast > 0).sum(axis=(0, 1))
             allowed = seen * (self.pixel_rtol * contrast.sum(axis=(0, 1)) / np.maximum(seen, 1)) ** 2
             weight = np.maximum(weight, _over(1.0, allowed))
-        if self.tolerance is not None:
-            area = np.asarray(image.camera.pixel_area(), np.float64)[:, :, None]
-            intensity = np.asarray(image.radiant_intensity(), np.float64)
-            weight = np.maximum(weight, _over(area**2, self.tolerance.allowed(intensity) ** 2))
-        return weight
+        area = np.asarray(image.camera.pixel_area(), np.float64)[:, :, None]
+        intensity = np.asarray(image.radiant_intensity(), np.float64)
+        return np.maximum(weight, _over(area**2, self.tolerance.allowed(intensity) ** 2))
 
     def excess(self, image: Image) -> float:
         """Error of an image over the error asked for, of the worst band."""
@@ -96,7 +98,7 @@ def goal_of(
         require_rtol(pixel_rtol, "pixel_rtol")
     asked = tolerance is not None or pixel_rtol is not None
     seconds = seconds_of(max_seconds, "rtol, atol or pixel_rtol", asked)
-    return Goal(tolerance, pixel_rtol, max_samples, seconds) if asked else None
+    return Goal(ANY if tolerance is None else tolerance, pixel_rtol, max_samples, seconds) if asked else None
 
 
 def seconds_of(max_seconds: float | None, names: str, asked: bool) -> float:
