@@ -73,7 +73,8 @@ class Trial(NamedTuple):
 
     def law(self) -> ErrorLaw:
         """As if all variance were that of lights."""
-        return ErrorLaw(self.pilot.variance * self.few, np.zeros_like(self.pilot.variance))
+        none = np.zeros_like(self.pilot.variance)
+        return ErrorLaw(self.pilot.variance * self.few, none, none)
 
 
 def rays_to_see(first: Pass) -> float:
@@ -207,16 +208,16 @@ def cheapest(trials: list[Trial], goal: Goal) -> Choice:
     least, largest = (max(count, 2 * few) for count in MORE)
     count = well_shaped(min(max(chosen.samples // 4, least), largest))[-1]
     more = pilot(trials[best].first.of(count))
-    edge = error_law((few, trials[best].pilot), (count, more)).edge
+    law = error_law((few, trials[best].pilot), (count, more))._replace(noise=np.zeros_like(more.variance))
     little = trials[best].pilot.seconds
     each = (more.seconds - little) / (count - few)
     alike = little - few * each  # what an image costs, however light is found
     choices = []
     for trial in trials:
         samples, seen = (count, more) if trial is trials[best] else (few, trial.pilot)
-        noise = np.maximum(seen.variance * samples - edge / samples**0.5, 0)
+        noise = np.maximum(seen.variance - law.variance(samples), 0) * samples
         growth = max(1 - alike / trial.pilot.seconds, LEAST_GROWTH) / few
-        choices.append(_choice(trial, ErrorLaw(noise, edge), growth, goal))
+        choices.append(_choice(trial, law._replace(noise=noise), growth, goal))
     least = min(range(len(trials)), key=lambda i: _cost(choices[i]))
     if least != best:
         return choices[least]

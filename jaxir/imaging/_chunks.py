@@ -124,41 +124,43 @@ class Pass(NamedTuple):
     @property
     def strata_at_once(self) -> int:
         """Strata of every pixel that are traced together."""
-        return min(self.strata.together, max(self._at_once // 2, 1))
+        return self._cut()[0]
 
     @property
     def tiles_at_once(self) -> int:
         """Tiles that are traced together, so that rays are at most those of `TILES_AT_ONCE` tiles."""
-        return min(max(self._at_once // (2 * self.strata_at_once), 1), -(-self._share // BLOCKS))
+        return self._cut()[1]
 
     @property
     def size(self) -> int:
         """Tiles of a chunk: fewer where a ray carries many samples, and in images of less than `parts` full chunks."""
-        return self.tiles_at_once * -(-self._share // self.tiles_at_once)
+        return self._cut()[2]
 
     @property
     def spots(self) -> int:
         """Strata of single pixels that are traced together."""
-        return self._at_once * TILE * TILE // 2
+        return self._at_once(self._each) * TILE * TILE // 2
 
-    @property
-    def uniform(self) -> bool:
-        """Whether the empty image is the same in all pixels."""
-        return self.lit.scene.background is None or self.lit.scene.background.uniform
+    def _cut(self) -> tuple[int, int, int]:
+        each = self._each
+        at_once, share = self._at_once(each), min(max(TILES // each, 1), -(-self.tiles // self.parts))
+        strata = min(self.strata.together, max(at_once // 2, 1))
+        tiles = min(max(at_once // (2 * strata), 1), -(-share // BLOCKS))
+        return strata, tiles, tiles * -(-share // tiles)
 
-    @property
-    def _at_once(self) -> int:
+    def _at_once(self, each: int) -> int:
         few = FEWER if self.method.bounces > 1 else 1  # most paths end soon, and all of them in many tiles
-        return max(TILES_AT_ONCE // (few * self._each), 1)
-
-    @property
-    def _share(self) -> int:
-        return min(max(TILES // self._each, 1), -(-self.tiles // self.parts))
+        return max(TILES_AT_ONCE // (few * each), 1)
 
     @property
     def _each(self) -> int:
         """Rays that a ray counts for, by the samples that it carries."""
         return -(-self.method.samples(self.lit.scene) // SAMPLES_AT_ONCE)
+
+    @property
+    def uniform(self) -> bool:
+        """Whether the empty image is the same in all pixels."""
+        return self.lit.scene.background is None or self.lit.scene.background.uniform
 
     @property
     def quick(self) -> bool:
@@ -180,7 +182,8 @@ class Pass(NamedTuple):
 
     def tile(self, chunk: Int[Array, ""] | int) -> Int[Array, " tile"]:
         """Tiles of a chunk, spread over the image, so that chunks cost the same; the last may lie beyond it."""
-        return jnp.asarray(chunk, jnp.int32) + jnp.asarray(len(self.chunks()) * np.arange(self.size, dtype=np.int32))
+        size = self.size
+        return jnp.asarray(chunk, jnp.int32) + jnp.asarray(-(-self.tiles // size) * np.arange(size, dtype=np.int32))
 
 
 def first_pass(

@@ -86,19 +86,20 @@ def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarr
 
 
 class ErrorLaw(NamedTuple):
-    """Variance of an intensity over rays per pixel N, [band]: noise / N + edge / N^1.5.
+    """Variance of an intensity over rays per pixel N, [band]: noise / N + edge / N^1.5 + smooth / N^3.
 
     Lights sampled at every point are independent: variance as 1 / N. A silhouette crosses sqrt(N) of the N strata of a
-    pixel, each with an error of the order of its size 1 / N: variance as N^-1.5. A smooth field's falls faster and is
-    counted with the silhouettes.
+    pixel, each with an error of the order of its size 1 / N: variance as N^-1.5. That of a smooth field falls as N^-2
+    or, from few points to more, as N^-3.
     """
 
     noise: np.ndarray
     edge: np.ndarray
+    smooth: np.ndarray
 
     def variance(self, samples: int) -> np.ndarray:
         """[band]."""
-        return self.noise / samples + self.edge / samples**1.5
+        return self.noise / samples + self.edge / samples**1.5 + self.smooth / samples**3
 
     def samples(self, allowed: np.ndarray, most: int) -> int:
         """The fewest rays per pixel, of well-shaped strata, with a variance of at most `allowed` [band]."""
@@ -109,11 +110,17 @@ class ErrorLaw(NamedTuple):
 
 
 def error_law(few: tuple[int, Pilot], more: tuple[int, Pilot]) -> ErrorLaw:
-    """The law through two pilots, (rays per pixel, pilot) each; both parts are at least 0."""
+    """The law through two pilots, (rays per pixel, pilot) each, by the two neighbouring powers that bracket both."""
     (n, first), (m, second) = few, more
-    edge = (first.variance * n - second.variance * m) / (n**-0.5 - m**-0.5)
-    edge = np.clip(edge, 0, second.variance * m**1.5)
-    return ErrorLaw(np.maximum(second.variance * m - edge / m**0.5, 0), edge)
+
+    def steeper(low: float, high: float) -> np.ndarray:
+        """b of a / N^low + b / N^high through both pilots, a and b at least 0."""
+        slow, fast = first.variance * n**low - second.variance * m**low, n ** (low - high) - m ** (low - high)
+        return np.clip(slow / fast, 0, second.variance * m**high)
+
+    smooth = steeper(1.5, 3.0)
+    edge = np.minimum(steeper(1.0, 1.5), np.maximum(second.variance - smooth / m**3, 0) * m**1.5)
+    return ErrorLaw(np.maximum(second.variance - edge / m**1.5 - smooth / m**3, 0) * m, edge, smooth)
 
 
 def well_shaped(most: int) -> list[int]:

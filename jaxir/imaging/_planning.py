@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,6 +20,8 @@ from jaxir.imaging._tolerance import Goal, Tolerance, goal_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene
 from jaxir.transport import ClosedForm, Method
+
+CALLS = 3  # that are timed: other work may disturb one
 
 
 class Term(NamedTuple):
@@ -42,7 +45,8 @@ class Plan(NamedTuple):
         terms: of the transport, in the order in which light meets them on its way back from the eye.
         method: what `render` is to take.
         samples: rays per pixel, in the mean where `render(rtol=)` places them where pixels vary.
-        seconds: predicted, of the rays on the device in force; compiling and the call, some milliseconds, come on top.
+        seconds: predicted, of a call of `render` with this method and so many rays on the device in force; compiling,
+            and solving for the light in plumes, come on top.
         compile_seconds: what compiling the chosen method's pilot took, and solving for the light in plumes, once.
         tolerance: asked.
         expected: predicted standard error over intensity, of the worst band.
@@ -93,7 +97,7 @@ def plan(
         method: kept if given; else its `direct` and `sampler` are chosen, where the scene has sources with an extent,
             or else, where it has particles, `orders` or `scattering`.
         max_samples: rays per pixel that must suffice.
-        max_seconds: of the rays of the image, that must suffice.
+        max_seconds: of the image without compiling, that must suffice.
 
     Returns:
         The plan; `print` it.
@@ -111,20 +115,29 @@ def plan(
     given = Method() if method is None else method
     first = first_pass(scene, camera, bands, key, FEW, given)
     few = few_rays(rays_to_see(first), max_samples)
-    return plan_pass(first.of(few), goal, method is not None)[0]
+    times = []
+    for _ in range(CALLS):  # once more, now that all of it is compiled
+        began = time.perf_counter()
+        first_pass(scene, camera, bands, key, FEW, Method())
+        times.append(time.perf_counter() - began)
+    call = min(times)
+    goal = goal._replace(seconds=max(goal.seconds - call, 0.0))
+    return plan_pass(first.of(few), goal, method is not None, call)[0]
 
 
-def plan_pass(first: Pass, goal: Goal, asked: bool) -> tuple[Plan, Look | None]:
+def plan_pass(first: Pass, goal: Goal, asked: bool, call: float = 0.0) -> tuple[Plan, Look | None]:
     """`plan` for a pass of `few_rays` that was checked, and what tells where its rays go, if not everywhere.
 
     Args:
         first: the pass.
         goal: what is asked of the intensity.
         asked: whether the method is not to be chosen.
+        call: seconds that a call takes before its first ray.
     """
     scene, tolerance = first.lit.scene, goal.tolerance
     trials = trials_of(first, goal, asked)
     chosen, look = where_it_varies(cheapest(trials, goal), goal)
+    chosen = chosen._replace(seconds=chosen.seconds + call)
     trial = chosen.trial
     terms = (
         *_along_the_ray(first.lit, first.camera),

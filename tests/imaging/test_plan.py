@@ -125,18 +125,34 @@ def test_a_pilot_of_all_chunks_is_the_image():
 
 
 def test_the_error_law_is_recovered_and_inverted():
-    law = ErrorLaw(np.array([3.0, 0.0]), np.array([0.5, 2.0]))
-    pilots = [(n, Pilot(np.ones(2), law.variance(n), 1.0, 1.0, np.zeros(2))) for n in (2, 12)]
+    law = ErrorLaw(np.array([3.0, 0.0, 0.0, 0.0]), np.array([0.5, 2.0, 0.3, 0.0]), np.array([0.0, 0.0, 4.0, 5.0]))
+    pilots = [(n, Pilot(np.ones(4), law.variance(n), 1.0, 1.0, np.zeros(4))) for n in (2, 12)]
     found = error_law(*pilots)
-    np.testing.assert_allclose(found.noise, law.noise, atol=1e-12)
-    np.testing.assert_allclose(found.edge, law.edge, rtol=1e-12)
-    allowed = np.array([0.1, 0.1])
+    for name in law._fields:
+        np.testing.assert_allclose(getattr(found, name), getattr(law, name), rtol=1e-9, atol=1e-12, err_msg=name)
+    allowed = np.full(4, 0.1)
     samples = found.samples(allowed, 4096)
     fewer = well_shaped(samples)[-2]
     assert (law.variance(samples) <= allowed).all() and (law.variance(fewer) > allowed).any()
     assert all(abs(np.subtract(*pixel_strata(count))) <= 1 for count in well_shaped(4096))
-    steep = error_law(*[(n, Pilot(np.ones(1), np.array([n**-3.0]), 1.0, 1.0, np.zeros(1))) for n in (2, 12)])
-    assert (steep.noise >= 0).all() and (steep.edge >= 0).all()
+    for power in (-0.5, 0.5, 4.0):  # beyond the law's powers: through the second pilot, no part below 0
+        pair = [(n, Pilot(np.ones(1), np.array([n**-power]), 1.0, 1.0, np.zeros(1))) for n in (2, 12)]
+        assert min(float(part[0]) for part in error_law(*pair)) >= 0
+        np.testing.assert_allclose(error_law(*pair).variance(12), 12.0**-power, rtol=1e-12)
+
+
+def test_a_smooth_field_is_foretold_between_the_pilots():
+    """Its error falls much from two rays to four: by the law of edges alone two would seem to do."""
+    grid = jaxir.Grid((-4.0, -0.5, -0.5), (0.25, 0.25, 0.25), (16, 4, 4))
+    plume = jaxir.GridPlume(grid, 1200.0 + 150.0 * grid.centres()[..., 0], jaxir.GrayGas(1e-3))
+    scene, camera = jaxir.Scene(plumes=plume), jaxir.orthographic_camera(40.0, 15.0, 0.15, (48, 48), (-1.0, 0.0, 0.0))
+    image = jaxir.render(scene, camera, jaxir.LWIR, samples=4)
+    rtol = float(image.intensity_error()[0] / image.radiant_intensity()[0])
+    for key in range(3):
+        found = jaxir.plan(scene, camera, jaxir.LWIR, rtol, key=jax.random.key(key))
+        image = jaxir.render(scene, camera, jaxir.LWIR, samples=found.samples, key=jax.random.key(9))
+        reached = float(image.intensity_error()[0] / image.radiant_intensity()[0])
+        assert found.samples in (4, 6, 8) and 0.7 < reached / found.expected < 1.4
 
 
 @pytest.mark.parametrize("entry", [jaxir.plan, lambda *rest: jaxir.render(*rest[:3], rtol=rest[3])])
