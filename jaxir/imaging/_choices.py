@@ -7,13 +7,12 @@ import time
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from jaxir._arrays import enforce, require
 from jaxir._programs import program
-from jaxir.geometry import AbstractSampler, Camera, Sobol
+from jaxir.geometry import AbstractSampler, Sobol
 from jaxir.imaging._adaptive import LOOKED, Look, looked
 from jaxir.imaging._chunks import Pass
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
@@ -24,13 +23,15 @@ from jaxir.transport import (
     DirectSampling,
     DiscreteOrdinates,
     Method,
+    faces_in_sight,
     lattice_error,
+    patch_that_shines,
     solution_checks,
     with_scattered,
 )
 
 FEW = 2  # rays per pixel of the first pilots
-MET = 64  # rays of an image that go where the scene may be seen, at least
+MET = 64  # rays of an image that go where the scene shines, at least
 MORE = (12, 128)  # at least and at most, of the second
 LEAST_GROWTH = 0.25  # share of a pilot's time that its rays take at least: clocks are coarse, other work disturbs
 FEW_ORDERS = 2  # of scattering, tried first
@@ -78,21 +79,23 @@ class Trial(NamedTuple):
 
 
 def rays_to_see(first: Pass) -> float:
-    """Rays per pixel of which `MET` go where the scene may be seen; of few a target smaller than a pixel looks dark."""
-    filled = float(_pixels_filled(first.lit.scene, first.camera))
-    return MET / filled if filled > 0 else 0.0
+    """Rays per pixel of which `MET` go where the scene shines; of few, what is bright and small may be missed.
+
+    What hides what is looked for only where something small seems to shine.
+    """
+    lit, camera = first.lit, first.camera
+
+    def wanted(in_sight: Array | None) -> float:
+        patch = np.asarray(patch_that_shines(lit, camera, in_sight), np.float64).min()
+        return float(MET * np.prod(np.asarray(camera.pixel, np.float64)) / patch) if patch > 0 else 0.0
+
+    rays = wanted(None)
+    return wanted(faces_in_sight(lit, camera)) if rays > FEW and lit.scene.skin is not None else rays
 
 
 def few_rays(wanted: float, most: int) -> int:
     """Rays per pixel of first pilots, at most `most`, where so many are wanted, see `rays_to_see`."""
     return next((count for count in well_shaped(most) if count >= max(wanted, FEW)), well_shaped(most)[-1])
-
-
-@program
-def _pixels_filled(scene: Scene, camera: Camera) -> Array:
-    """How many pixels of an image the rectangle covers that holds the scene."""
-    low, high = camera.rectangle(scene.extent())
-    return jnp.prod((high - low) / camera.pixel)
 
 
 def trials_of(first: Pass, goal: Goal, asked: bool) -> list[Trial]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import jax
@@ -110,20 +111,28 @@ class CellMedium(AbstractScatterer):
         return jnp.where(inside, self.extinction[held], 0), jnp.where(inside, self.emission[held], 0)
 
     def capsules(self) -> Capsules:
-        """See `AbstractMedium.capsules`: blocks of cells as balls."""
+        """See `AbstractMedium.capsules`: blocks of cells as balls, where in them and as large as what emits."""
         grid, shape = self.grid, self.grid.shape
         size = grid.spacing * as_float(np.array(shape))
         emitted = self.emission * phi1(self.extinction * jnp.min(size)) * jnp.prod(grid.spacing)
         step = tuple(-(-count // BLOCKS) for count in shape)
         blocks = tuple(-(-count // each) for count, each in zip(shape, step, strict=True))
         pads = [(0, b * s - n) for b, s, n in zip(blocks, step, shape, strict=True)]
-        padded = jnp.pad(emitted, [*pads, (0, 0)])
-        whole = padded.reshape(blocks[0], step[0], blocks[1], step[1], blocks[2], step[2], -1).sum(axis=(1, 3, 5))
-        place = jnp.stack(jnp.meshgrid(*(jnp.arange(b) for b in blocks), indexing="ij"), axis=-1).reshape(-1, 3)
-        block = grid.spacing * as_float(np.array(step))
-        centre = grid.origin[None] + (as_float(place) + 0.5) * block[None]
-        radius = jnp.full(centre.shape[:1], jnp.max(block) / 2)
-        return Capsules(jnp.repeat(centre[:, None], 2, axis=1), radius, whole.reshape(centre.shape[0], -1))
+
+        def in_blocks(value: Float[Array, "nx ny nz some"]) -> Float[Array, "block some"]:
+            padded = jnp.pad(value, [*pads, (0, 0)])
+            split = padded.reshape(blocks[0], step[0], blocks[1], step[1], blocks[2], step[2], -1)
+            return split.sum(axis=(1, 3, 5)).reshape(math.prod(blocks), -1)
+
+        most = emitted.max(axis=(0, 1, 2), keepdims=True)
+        share = jnp.mean(emitted / jnp.where(most > 0, most, 1), axis=-1, keepdims=True) + jnp.finfo(most.dtype).tiny
+        total = in_blocks(share)
+        centre = in_blocks(share * grid.centres()) / total
+        # as many cells as would vary so much if they emitted alike
+        cells = total[:, 0] ** 2 / jnp.maximum(in_blocks(share**2)[:, 0], jnp.finfo(most.dtype).tiny)
+        filled = jnp.clip(cells / math.prod(step), 1 / math.prod(step), 1) ** (1 / 3)
+        radius = filled * jnp.max(grid.spacing * as_float(np.array(step))) / 2
+        return Capsules(jnp.repeat(centre[:, None], 2, axis=1), radius, in_blocks(emitted))
 
     @property
     def beam_points(self) -> tuple[Float[Array, "point 3"], Bool[Array, " point"]]:

@@ -13,13 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float
 from jaxir._math import dot
 from jaxir._programs import program
-from jaxir.geometry import Brightness, Camera, graded_camera
-from jaxir.geometry.search import face_normal
+from jaxir.geometry import Brightness, Camera, Rays, graded_camera
+from jaxir.geometry.search import any_hit, face_normal
 from jaxir.scene import Lit
 
 PROJECTED = 2**16  # points of faces, but at least four of each
@@ -35,8 +35,8 @@ class _Shining(NamedTuple):
     intensity: Float[Array, "capsule band"]
 
 
-def _shining(lit: Lit) -> _Shining:
-    """Without derivatives."""
+def _shining(lit: Lit, behind: Float[Array, " node"] | None = None) -> _Shining:
+    """Without derivatives; skin in contrast to what is `behind` it, if that is given."""
     lit = lax.stop_gradient(lit)
     dtype, bands = lit.nodes.weight.dtype, lit.nodes.response.shape[0]
     corners, radiance = jnp.zeros((0, 3, 3), dtype), jnp.zeros((0, bands), dtype)
@@ -44,7 +44,7 @@ def _shining(lit: Lit) -> _Shining:
     if lit.scene.skin is not None:
         mesh = lit.scene.skin.mesh
         corners = mesh.vertices[mesh.faces]
-        radiance = lit.nodes.in_band(_of_skin(lit, corners))
+        radiance = lit.nodes.in_band(_of_skin(lit, corners, behind))
     if lit.medium is not None:
         ends, radius, emitted = lit.medium.capsules()
         intensity = lit.nodes.in_band(emitted)
@@ -66,23 +66,77 @@ def share_outside(lit: Lit, camera: Camera) -> Float[Array, " band"]:
     Of every face that looks at the eye the centres of four pieces or, of few faces, of more are projected, of every
     capsule of a plume its middle and points towards the ends. Nothing hides anything.
     """
-    corners, radiance, ends, _, intensity = _shining(lit)
-    camera = lax.stop_gradient(camera)
+    shining, camera = _shining(lit), lax.stop_gradient(camera)
+    corners, radiance, ends, _, intensity = shining
+    vector = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    seen = jnp.maximum(dot(vector, camera.frame[2:]), 0)[:, None] * radiance
+    of_faces, of_capsules = _beyond(corners, ends, camera)
+    total = jnp.sum(seen, axis=0) + jnp.sum(intensity, axis=0)
+    left_out = of_faces @ seen + of_capsules @ intensity
+    return left_out / jnp.where(total > 0, total, 1)
+
+
+def _beyond(corners: Array, ends: Array, camera: Camera) -> tuple[Float[Array, " face"], Float[Array, " capsule"]]:
+    """About the shares of faces and capsules that lie beyond a camera's frame."""
     half = camera.half_size() * (1 + 1e-3)
 
     def beyond(point: Float[Array, "part point 3"]) -> Float[Array, " part"]:
         out = jnp.any(jnp.abs(camera.project(point)) > half[None, None], axis=-1)
         return jnp.mean(out.astype(point.dtype), axis=-1)
 
-    vector = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     place = jnp.asarray(_centres(int(min(max((PROJECTED / max(len(corners), 1)) ** 0.5, 2), 16))), corners.dtype)
-    seen = jnp.maximum(dot(vector, camera.frame[2:]), 0)[:, None] * radiance
-    of_faces = beyond(jnp.einsum("pc,fck->fpk", place, corners))
     along = jnp.asarray([0.1, 0.3, 0.5, 0.7, 0.9], ends.dtype)[None, :, None]
-    of_capsules = beyond(ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]))
-    total = jnp.sum(seen, axis=0) + jnp.sum(intensity, axis=0)
-    left_out = of_faces @ seen + of_capsules @ intensity
-    return left_out / jnp.where(total > 0, total, 1)
+    return beyond(jnp.einsum("pc,fck->fpk", place, corners)), beyond(ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]))
+
+
+@program
+def patch_that_shines(lit: Lit, camera: Camera, in_sight: Bool[Array, " face"] | None) -> Float[Array, " band"]:
+    """Area of an even patch that rays would find as hard as they do what shines in a camera's frame [band] [m2].
+
+    Of n even rays a pixel, of area A, n a / A meet a part of projected area a. Of independent ones the intensity would
+    have the relative variance A / (n patch) with
+
+        patch = (sum I)^2 / sum (I^2 / a),
+
+    I being the intensities of the parts in contrast to what is behind the scene: where a face of a hundredth of a pixel
+    sends most, it alone counts. It is at most the area of all parts, which overlap, and of the rectangle that holds the
+    scene; these alone where nothing shines by itself.
+
+    Args:
+        lit: the scene on the nodes.
+        camera: the eye.
+        in_sight: see `faces_in_sight`; None: nothing hides anything.
+    """
+    behind = lit.background(-camera.frame[2])
+    corners, radiance, ends, radius, intensity = _shining(lit, behind)
+    x, y = jnp.moveaxis(camera.project(corners), -1, 0)
+    turn = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
+    closed = lit.scene.skin is not None and lit.scene.skin.mesh.closed
+    of_faces = (jnp.maximum(turn, 0) if closed else jnp.abs(turn)) / 2
+    if in_sight is not None:
+        of_faces = jnp.where(in_sight, of_faces, 0)
+    long = jnp.linalg.norm(camera.project(ends[:, 1]) - camera.project(ends[:, 0]), axis=-1)
+    inside = 1 - jnp.concatenate(_beyond(corners, ends, camera))
+    area = jnp.concatenate([of_faces, radius * (np.pi * radius + 2 * long)]) * inside
+    # as shares of the brightest: squares of what is faint underflow
+    each = jnp.concatenate([jnp.abs(radiance) * of_faces[:, None], intensity]) * inside[:, None]
+    each = each / jnp.maximum(each.max(axis=0, keepdims=True), jnp.finfo(each.dtype).tiny)
+    spread = jnp.sum(each**2 / jnp.where(area > 0, area, 1)[:, None], axis=0)
+    patch = jnp.where(spread > 0, jnp.sum(each, axis=0) ** 2 / jnp.where(spread > 0, spread, 1), jnp.inf)
+    low, high = camera.rectangle(lit.scene.extent())
+    return jnp.minimum(patch, jnp.minimum(jnp.prod(high - low), jnp.sum(area)))
+
+
+@program
+def faces_in_sight(lit: Lit, camera: Camera) -> Bool[Array, " face"]:
+    """Whether a camera sees the middle of each face of the skin."""
+    assert lit.scene.skin is not None
+    mesh = lit.scene.skin.mesh
+    centre = mesh.corners().mean(axis=1)
+    inverse = 0.0 if camera.inverse_range is None else camera.inverse_range
+    toward = camera.frame[2][None] + inverse * (camera.target[None] - centre)
+    toward = toward / jnp.linalg.norm(toward, axis=1, keepdims=True)
+    return ~any_hit(mesh, Rays(centre, toward), leaving=jnp.arange(mesh.count, dtype=jnp.int32))
 
 
 def _centres(cuts: int) -> np.ndarray:
@@ -107,8 +161,8 @@ def graded_cameras(lit: Lit, aspect: Float[Array, "view 2"], shape: tuple[int, i
     return lax.map(lambda a: graded_camera(a[0], a[1], extent, bright, shape, distance), aspect)
 
 
-def _of_skin(lit: Lit, corners: Float[Array, "face 3 3"]) -> Float[Array, "face node"]:
-    """Radiance of every face, as if a Lambert one."""
+def _of_skin(lit: Lit, corners: Float[Array, "face 3 3"], behind: Array | None) -> Float[Array, "face node"]:
+    """Radiance of every face, as if a Lambert one; in contrast to what is `behind` it and as bright before it."""
     skin = lit.scene.skin
     assert skin is not None and lit.blackbody is not None
     face = jnp.arange(skin.mesh.count, dtype=jnp.int32)
@@ -120,4 +174,5 @@ def _of_skin(lit: Lit, corners: Float[Array, "face 3 3"]) -> Float[Array, "face 
         toward, _ = jax.vmap(source.toward)(centre)
         beam = jax.vmap(lambda p, source=source: source.beam(p))(centre)
         irradiance = irradiance + jnp.maximum(jnp.sum(toward * normal, axis=1), 0)[:, None] * beam
-    return emissivity * lit.blackbody + (1 - emissivity) * irradiance / np.pi
+    emitted = lit.blackbody if behind is None else lit.blackbody - behind[None]
+    return emissivity * emitted + (1 - emissivity) * irradiance / np.pi
