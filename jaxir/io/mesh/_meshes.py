@@ -17,10 +17,11 @@ from jaxir.geometry.search import Mesh
 from jaxir.geometry.selection import AbstractSelection, LabelledFaces, new_part, selected_faces
 from jaxir.io._axes import Axes, metres
 from jaxir.io._files import require_file
-from jaxir.io.mesh._file_mesh import NO_MATERIAL, FileMesh, require_corners
+from jaxir.io.mesh._file_mesh import NO_MATERIAL, FileMesh, indices
 from jaxir.io.mesh._obj import read_obj
 from jaxir.io.mesh._off import read_off
 from jaxir.io.mesh._ply import read_ply
+from jaxir.io.mesh._polygons import require_corners
 from jaxir.io.mesh._stl import read_stl
 
 FARTHEST = 1e9  # [m] of a coordinate, as of `Mesh`
@@ -33,7 +34,7 @@ class Body(NamedTuple):
     Attributes:
         mesh: all triangles, in the file's order (of objects, and of faces inside each).
         part: index of each face's part [face].
-        part_names: names of the parts.
+        part_names: names of the parts, each once.
         material: index of each face's material [face]; empty where the file names none.
         material_names: names of the materials.
     """
@@ -66,7 +67,8 @@ def load_mesh(path: str | os.PathLike, *, unit: Any, axes: Axes | None = None) -
     """Read STL, OBJ, PLY, GLB or whatever else trimesh reads.
 
     Nothing is merged, reordered or repaired, so that per-face arrays made for the file keep fitting. Faces of zero
-    area are kept (they are never hit) and named in a warning.
+    area are kept (they are never hit) and named in a warning. Polygons are cut into triangles, and the faces of an
+    object that the file places as its mirror image are turned around, so that they still look outwards.
 
     Args:
         path: the file.
@@ -75,13 +77,14 @@ def load_mesh(path: str | os.PathLike, *, unit: Any, axes: Axes | None = None) -
         axes: where the body axes are in the file; those of the file by default.
 
     Returns:
-        The mesh in body axes and metres with its parts: objects of the file, in OBJ its objects and groups
-        (`read_obj`), one part for formats without objects (see `split_bodies`).
+        The mesh in body axes and metres with its parts: objects of the file, each in all its places, in OBJ its
+        objects and groups (`read_obj`), one part for formats without objects (see `split_bodies`).
 
     Raises:
         ValueError: unknown unit, no such file, unreadable or cut file, fewer or more faces than its header says, a
-            face with a corner that is no vertex, no triangles, coordinates that are not finite or 1e9 m or more; the
-            message names the file.
+            face that crosses itself or has a corner that is no vertex, no triangles or only flat ones, coordinates
+            that are not finite or 1e9 m or more; the message names the file.
+        ImportError: trimesh lacks a package that the format needs.
     """
     file = Path(path)
     length, placed = metres(unit), axes or Axes()
@@ -98,16 +101,15 @@ def load_mesh(path: str | os.PathLike, *, unit: Any, axes: Axes | None = None) -
             f"{file}: vertex {bad[0]} is {all_vertices[bad[0]]} m, expected finite coordinates below {FARTHEST:g} m"
         )
     all_vertices = placed.to_body(all_vertices, 1.0)
-    flat = zero_area_faces(all_vertices, all_faces)
-    if flat.size == len(all_faces):
-        raise ValueError(f"{file}: all {flat.size} faces have zero area")
+    try:
+        flat = zero_area_faces(all_vertices, all_faces)
+        body = Body(Mesh(all_vertices, all_faces), held.part, held.part_names, held.material, held.material_names)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
     if flat.size:
         shown = ", ".join(str(f) for f in flat[:10]) + (", ..." if flat.size > 10 else "")
         warnings.warn(f"{file}: {flat.size} faces have zero area and are never hit: {shown}", stacklevel=2)
-    try:
-        return Body(Mesh(all_vertices, all_faces), held.part, held.part_names, held.material, held.material_names)
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from error
+    return body
 
 
 def split_bodies(body: Body) -> Body:
@@ -138,6 +140,8 @@ def _read(file: Path) -> FileMesh:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             return _by_trimesh(file)
+    except ImportError as error:
+        raise ImportError(f'{file}: reading it needs more packages ({error}): pip install "trimesh[easy]"') from error
     except Exception as error:  # trimesh's readers raise whatever their parsers do
         if isinstance(error, ValueError) and str(error).startswith(f"{file}: "):
             raise
@@ -145,9 +149,9 @@ def _read(file: Path) -> FileMesh:
 
 
 def _by_trimesh(file: Path) -> FileMesh:
-    """Every object that trimesh finds, placed as the file says."""
+    """Every object that trimesh finds, wherever the file places it; one placed as its mirror image is turned around."""
     loaded = trimesh.load_scene(str(file), process=False)
-    vertices, faces, part = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
+    vertices, faces = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
     names: list[str] = []
     materials: list[str] = []
     offset = 0
@@ -158,19 +162,16 @@ def _by_trimesh(file: Path) -> FileMesh:
             continue
         points = np.asarray(geometry.vertices, np.float64)
         corners = np.asarray(geometry.faces, np.int64)
-        require_corners(file, corners, len(points))
+        require_corners(corners, len(points), lambda face: f"{file}: face {face}")
+        if np.linalg.det(transform[:3, :3]) < 0:
+            corners = corners[:, ::-1]
         vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
         faces.append(corners + offset)
-        part.append(np.full(len(corners), len(names), np.int32))
-        names.append(str(name))
-        materials.append(str(getattr(getattr(geometry.visual, "material", None), "name", None) or ""))
+        names += [str(name)] * len(corners)
+        materials += [str(getattr(getattr(geometry.visual, "material", None), "name", None) or "")] * len(corners)
         offset += len(points)
-    whole = FileMesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(part), tuple(names))
-    if not any(materials):
-        return whole
-    known = tuple(dict.fromkeys(materials))
-    of_part = np.array([known.index(material) for material in materials], np.int32)
-    return whole._replace(material=of_part[whole.part], material_names=known)
+    kinds = indices(materials) if any(materials) else ()
+    return FileMesh(np.concatenate(vertices), np.concatenate(faces), *indices(names), *kinds)
 
 
 def _require_whole_glb(file: Path) -> None:
@@ -208,8 +209,15 @@ def _accessors(told: bytes) -> list[dict[str, Any]]:
 
 
 def zero_area_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Indices of faces whose area is below double rounding of their longest edge squared."""
+    """Indices of faces whose area is below double rounding of their longest edge squared.
+
+    Raises:
+        ValueError: all faces are.
+    """
     p = vertices[faces]
     edge = p[:, [1, 2, 0]] - p
     area = np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
-    return np.flatnonzero(area <= 1e-14 * (edge**2).sum(axis=2).max(axis=1))
+    flat = np.flatnonzero(area <= 1e-14 * (edge**2).sum(axis=2).max(axis=1))
+    if flat.size == len(faces):
+        raise ValueError(f"all {flat.size} faces have zero area")
+    return flat

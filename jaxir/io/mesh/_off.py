@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxir.io._files import read_text, to_number
-from jaxir.io.mesh._file_mesh import FileMesh, fans, one_part
+from jaxir.io.mesh._file_mesh import FileMesh, one_part
+from jaxir.io.mesh._polygons import cut
 
 _WORDS = ("OFF", "COFF")
 
@@ -22,8 +23,8 @@ def read_off(file: Path) -> FileMesh:
         The mesh, whose only part is called after the file.
 
     Raises:
-        ValueError: another first word, fewer or more lines than its header says, a vertex or face that is not one;
-            names file and line.
+        ValueError: another first word, fewer or more lines than its header says, a vertex or face that is not one,
+            a polygon that crosses itself; names file and place.
     """
     lines = [(n, line.split("#")[0].split()) for n, line in enumerate(read_text(file, "latin-1").splitlines(), 1)]
     lines = [(n, words) for n, words in lines if words]
@@ -51,4 +52,5 @@ def read_off(file: Path) -> FileMesh:
                 polygons.append(np.array([int(word) for word in words[1 : sides + 1]], np.int64))
         except (ValueError, OverflowError) as error:
             raise ValueError(f"{file}:{line}: got {' '.join(words)[:60]!r}, {error}") from None
-    return one_part(file, np.array(vertices, np.float64).reshape(-1, 3), fans(file, polygons, count))
+    points = np.array(vertices, np.float64).reshape(-1, 3)
+    return one_part(file, points, cut(points, polygons, lambda face: f"{file}: face {face}")[0])

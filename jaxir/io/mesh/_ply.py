@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxir.io._files import to_number
-from jaxir.io.mesh._file_mesh import FileMesh, fans, one_part
+from jaxir.io.mesh._file_mesh import FileMesh, one_part
+from jaxir.io.mesh._polygons import cut
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -53,7 +54,7 @@ def read_ply(file: Path) -> FileMesh:
 
     Raises:
         ValueError: a header that is none, fewer or more rows than it says, a value that is no number, a face with
-            fewer than three corners or with one that is no vertex; names the file and the place.
+            fewer than three corners, with one that is no vertex or that crosses itself; names the file and the place.
     """
     raw = file.read_bytes()
     order, elements, start = _header(file, raw)
@@ -64,7 +65,8 @@ def read_ply(file: Path) -> FileMesh:
         if missing:
             raise ValueError(f"{file}: got no {name} with {', '.join(sorted(missing))}, expected some in its header")
     vertices = np.stack([np.asarray(held["vertex"][axis], np.float64) for axis in "xyz"], axis=1)
-    return one_part(file, vertices, fans(file, held["face"][_CORNERS[0]], len(vertices)))
+    faces, _ = cut(vertices, held["face"][_CORNERS[0]], lambda face: f"{file}: face {face}")
+    return one_part(file, vertices, faces)
 
 
 def _header(file: Path, raw: bytes) -> tuple[str, list[_Element], int]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxir.geometry.search import Mesh
 from jaxir.geometry.selection import Intersection, new_part
 from jaxir.io.field import load_face_values, load_surface_field
-from jaxir.io.mesh import Axes, Body, load_mesh, split_bodies
+from jaxir.io.mesh import Axes, Body, load_mesh, split_bodies, zero_area_faces
 from jaxir.io.scene_file._entries import (
     Entry,
     Reader,
@@ -81,11 +81,12 @@ def _body(entry: Entry, readers: Mapping[str, Reader]) -> Body:
         return split_bodies(load_mesh(path, unit=unit, axes=axes))
 
     def inline(vertices: Any, faces: Any) -> Body:
-        mesh = Mesh(vertices, np.asarray(faces, np.int64))
+        mesh = Mesh(vertices, faces)
+        zero_area_faces(np.asarray(vertices, np.float64), faces)
         return Body(mesh, np.zeros(mesh.count, np.int32), ("skin",))
 
     kinds: dict[str, Callable] = {"load_mesh": load_mesh, "split_bodies": bodies, "Mesh": inline}
-    return build(entry, kinds, readers, default="load_mesh")
+    return build(entry, kinds, {**readers, "faces": _indices}, default="load_mesh")
 
 
 def _faces(change: Entry, body: Body, readers: Mapping[str, Reader]) -> tuple[np.ndarray, Body]:
@@ -103,6 +104,14 @@ def _faces(change: Entry, body: Body, readers: Mapping[str, Reader]) -> tuple[np
     return faces, body._replace(**new_part(name, faces, body.part, names))
 
 
+def _indices(entry: Entry) -> np.ndarray:
+    """Integers that may be indices."""
+    value = np.asarray(numbers(entry))
+    if not ((value == np.floor(value)) & (value >= 0) & (value < 2**31)).all():
+        raise entry.wrong("integers >= 0 of 32 bits")
+    return value.astype(np.int64)
+
+
 def _face_list(entry: Entry, body: Body, readers: Mapping[str, Reader]) -> np.ndarray:
     """Indices of faces: a list, `{ start, stop }` with stop one past the last, or what one or all selections hold."""
     value, count = entry.value, body.part.size
@@ -117,16 +126,10 @@ def _face_list(entry: Entry, body: Body, readers: Mapping[str, Reader]) -> np.nd
         ends = entry.only(["start", "stop"], ["start", "stop"])
         faces = np.arange(integer(ends["start"]), min(integer(ends["stop"]), count + 1))
     else:
-        faces = np.atleast_1d(np.asarray(numbers(entry)))
-    if (
-        faces.ndim != 1
-        or faces.size == 0
-        or (faces != np.floor(faces)).any()
-        or (faces < 0).any()
-        or faces.max() >= count
-    ):
+        faces = np.atleast_1d(_indices(entry))
+    if faces.ndim != 1 or faces.size == 0 or faces.min() < 0 or faces.max() >= count:
         raise entry.wrong(f"faces 0 to {count - 1}, at least one")
-    return faces.astype(np.int64)
+    return faces
 
 
 def face_temperature(entry: Entry, mesh: Mesh, faces: np.ndarray, readers: Mapping[str, Reader]) -> np.ndarray:

@@ -24,6 +24,7 @@ BINARY_PLY = (
     + b"\x03"
     + np.array([0, 1, 2], ">i4").tobytes()
 )
+CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 OFF = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
 
 
@@ -57,6 +58,65 @@ def test_objects_of_a_scene_become_parts(tmp_path):
     np.testing.assert_allclose(tail.mean((0, 1)), [5.0, 0.0, 0.0], atol=1e-6)
 
 
+def _instances(path, transforms):
+    """A GLB file of a body and of one engine in several places."""
+    scene = trimesh.Scene(geometry={"body": _trimesh(box_mesh())})
+    scene.geometry["engine"] = _trimesh(box_mesh())
+    for place, transform in enumerate(transforms):
+        scene.graph.update(frame_to=f"place {place}", geometry="engine", matrix=transform)
+    scene.export(path)
+    return load_mesh(path, unit="m")
+
+
+def test_an_object_in_two_places_is_one_part(tmp_path):
+    places = [trimesh.transformations.translation_matrix([0.0, y, 0.0]) for y in (-5.0, 5.0)]
+    body = _instances(tmp_path / "engines.glb", places)
+    assert sorted(body.part_names) == ["body", "engine"]
+    middle = np.asarray(body.mesh.corners())[body.part == body.part_names.index("engine")].mean(axis=1)
+    assert np.sum(middle[:, 1] < -4) == np.sum(middle[:, 1] > 4) == 12
+    assert np.bincount(body.part).tolist() == sorted([12, 24], reverse=body.part_names[0] == "engine")
+
+
+def test_a_mirrored_object_looks_outwards(tmp_path):
+    mesh = _instances(tmp_path / "engines.glb", [np.diag([1.0, -1.0, 1.0, 1.0])]).mesh
+    assert mesh.count == 24
+    outward = np.sum(np.asarray(mesh.area_vectors()) * np.asarray(mesh.corners()).mean(axis=1), axis=1)
+    assert (outward > 0).all()
+
+
+def test_a_missing_package_is_named(tmp_path, monkeypatch):
+    def load(*args, **options):
+        raise ModuleNotFoundError("No module named 'networkx'")
+
+    monkeypatch.setattr(trimesh, "load_scene", load)
+    (tmp_path / "a.3mf").write_bytes(b"PK")
+    with pytest.raises(ImportError, match=r"a.3mf: reading it needs .*'networkx'\): pip install \"trimesh\[easy\]\""):
+        load_mesh(tmp_path / "a.3mf", unit="m")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xef\xbb\xbf" + CORNERS + b"f 1 2 3\n",
+        b"f 1 2 3\n" + CORNERS,
+        CORNERS + b"f 1 \\\n2 \\\r\n3\n",
+        b"# of C:\\meshes\\\n" + CORNERS + b"f 1 2 3\n",
+        CORNERS.replace(b"0\nv", b"0 1\nv") + b"v 9 9 9\nf -4 -3 -2\nv 8 8 8\n",
+    ],
+    ids=["byte order mark", "vertices after", "continued", "comment", "weights"],
+)
+def test_a_triangle_however_obj_writes_it(content, tmp_path):
+    (tmp_path / "a.obj").write_bytes(content)
+    body = load_mesh(tmp_path / "a.obj", unit="m")
+    np.testing.assert_array_equal(body.mesh.corners(), [[[0, 0, 0], [1, 0, 0], [0, 1, 0]]])
+
+
+def test_lines_are_counted_as_the_file_has_them(tmp_path):
+    (tmp_path / "a.obj").write_bytes(CORNERS + b"f 1 \\\n2 3\nf 1 2 \\\nx\n")
+    with pytest.raises(ValueError, match=r"a.obj:6: got 'f 1 2  x'"):
+        load_mesh(tmp_path / "a.obj", unit="m")
+
+
 def test_zero_area_faces_are_named(tmp_path):
     mesh = trimesh.Trimesh(
         [[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], [[0, 1, 2], [0, 1, 3], [1, 1, 2]], process=False
@@ -76,7 +136,7 @@ def test_zero_area_faces_are_named(tmp_path):
         ("noise.glb", bytes(range(40)), "noise.glb: not readable as a mesh"),
         ("cut.stl", bytes(80) + b"\x05\x00\x00\x00" + bytes(50), "cut.stl: got 134 bytes, expected 334 .* is cut"),
         ("text.stl", b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "text.stl: got no endsolid"),
-        ("points.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "points.obj: "),
+        ("points.obj", CORNERS, "points.obj: "),
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "nan.obj: vertex 0 is .* expected finite"),
         ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "flat.obj: all 1 faces have zero area"),
         ("what.xyz2", b"v", "what.xyz2: not readable"),
@@ -91,13 +151,12 @@ def test_zero_area_faces_are_named(tmp_path):
         ("cut.off", OFF[:-8], "cut.off: got 3 lines, expected 3 vertices and 1 faces"),
         ("less.stl", bytes(80) + b"\x01\x00\x00\x00" + bytes(100), "less.stl: got 184 bytes, expected 134"),
         ("gap.stl", b"solid a\nfacet normal 0 0 1\nouter loop\nendloop\n", "gap.stl:4: got 'endloop', expected vertex"),
-        (
-            "beyond.obj",
-            b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n",
-            "beyond.obj:4: got 'f 1 2 4', expected vertices 1 to",
-        ),
-        ("word.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nn 1 2 3\n", "word.obj:4: got 'n 1 2 3', expected a word of the OBJ"),
-        ("half.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/2 3\n", "half.obj:4: .* expected corners of one form"),
+        ("beyond.obj", CORNERS + b"f 1 2 4\n", "beyond.obj:4: got vertex 4, expected one of 1 to 3"),
+        ("below.obj", CORNERS + b"f 1 2 -4\n", "below.obj:4: got 'f 1 2 -4', expected vertices 1 to .* or -3 to -1"),
+        ("two.obj", CORNERS + b"f 1 2\n", "two.obj:4: got 2 corners, expected at least 3"),
+        ("weight.obj", CORNERS + b"v 0 0 1 2\nf 1 2 3\n", "weight.obj:4: got 'v 0 0 1 2', expected a weight .* of 1"),
+        ("word.obj", CORNERS + b"n 1 2 3\n", "word.obj:4: got 'n 1 2 3', expected a word of the OBJ"),
+        ("half.obj", CORNERS + b"f 1/1 2/2 3\n", "half.obj:4: .* expected corners of one form"),
         ("far.obj", b"v 1e9 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "far.obj: vertex 0 is .* expected .* below 1e.09 m"),
         ("huge.obj", b"v 1e300 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "huge.obj: vertex 0 is .* expected .* below 1e.09 m"),
     ],

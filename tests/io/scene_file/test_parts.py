@@ -73,6 +73,33 @@ def test_what_catches_nothing_or_everything_is_one_line(faces, message, tmp_path
     assert "\n" not in str(found.value)
 
 
+def test_a_name_is_every_place_of_an_object(tmp_path):
+    scene = trimesh.Scene(geometry={"engine": trimesh.creation.box(), "wing": trimesh.creation.box()})
+    scene.graph.update(
+        frame_to="other", geometry="engine", matrix=trimesh.transformations.translation_matrix([0, 3, 0])
+    )
+    scene.export(tmp_path / "body.glb")
+    text = TEXT.replace("body.obj", "body.glb").replace('"aft"', '"engine"').replace("faces = FACES\n", "")
+    found = load_scene(write_scene(tmp_path, text)).scene.skin
+    assert sorted(found.part_names) == ["engine", "wing"]
+    assert np.bincount(np.asarray(found.temperature).astype(int))[[300, 400]].tolist() == [12, 24]
+
+
+@pytest.mark.parametrize(
+    ("faces", "message"),
+    [
+        ("[[0, 1, 2.9]]", r"skin.mesh.faces: got \[\[0, 1, 2.9\]\], expected integers >= 0"),
+        ("[[0, 1, 3e9]]", "skin.mesh.faces: got .* expected integers >= 0 of 32 bits"),
+        ("[[0, 1, 3], [1, 1, 2]]", "skin.mesh: all 2 faces have zero area"),
+    ],
+)
+def test_faces_in_the_file_are_triangles(faces, message, tmp_path):
+    mesh = f'{{ type = "Mesh", vertices = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], faces = {faces} }}'
+    text = TEXT.replace('{ path = "body.obj", unit = "m" }', mesh).split("[[skin.parts]]")[0]
+    with pytest.raises(ValueError, match=message):
+        load_scene(write_scene(tmp_path, text))
+
+
 def test_materials_are_kept_beside_the_objects(tmp_path):
     write_obj(tmp_path / "body.obj", ("wing", "tail", "fin"))
     lines = (
