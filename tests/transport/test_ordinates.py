@@ -144,6 +144,21 @@ def test_what_the_lattice_errs_is_sampled_without_bias_and_with_little_noise():
     assert abs(seen(lattice(0), 1).mean() - mean) > 5 * error  # the lattice alone errs by more than the test allows
 
 
+@optimised
+@pytest.mark.parametrize("away", [0.0, 5.0])
+@pytest.mark.parametrize("depth", [0.3, 1.0])
+def test_the_sun_is_seen_through_particles_with_its_halo(depth, away):
+    """Against forced collision: scattered once with the whole lobe the sun is 8 to 30 % too bright."""
+    angle = np.deg2rad(away)
+    plume = box(depth / 2, 0.95, jaxir.HenyeyGreenstein(0.8), 200.0)
+    scene = jaxir.Scene(plumes=plume, sources=(jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0),))
+    rays = rays_through(8192, (np.sin(angle), 0.0, np.cos(angle)))
+    every = np.stack([look(scene, rays, Method(orders=8), jax.random.key(k))[:, 0] for k in range(4)]).mean(axis=1)
+    known, error = every.mean(), every.std(ddof=1) / 2
+    found = look(scene, rays, Method(scattering=DiscreteOrdinates(9, 9, 3)))[:, 0].mean()
+    np.testing.assert_allclose(found, known, atol=4 * error + 0.025 * known)
+
+
 def test_an_image_tells_what_the_last_order_changed():
     scene, _ = in_the_sun()
     camera = jaxir.fitted_camera(90, 0, scene.extent(), (16, 32))

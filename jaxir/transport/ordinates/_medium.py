@@ -19,12 +19,14 @@ from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, radiance_b
 from jaxir.scene import Lit
 from jaxir.scene.light import AbstractDeltaSource
 from jaxir.transport.ordinates._collected import collected
+from jaxir.transport.ordinates._halo import Halo
 from jaxir.transport.ordinates._lattice import Between, about
 
 SOLVED = 2e-5  # residual of a solution at most
 THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
+SPREAD = 0.05  # of what halos change, which is right where angles are small
 MORE = 8  # cuts of a ray where light that reaches it comes from
 SIDE = 64  # of the grid of rays of which those are chosen on which an image's error is found
 CHOSEN = 256  # of them
@@ -32,10 +34,18 @@ POINTS = 32  # of each at which it is seen how bright it is
 
 
 class Beam(eqx.Module):
-    """A source without extent as seen from the points that are read: optical depth [point, node], and whether."""
+    """A source without extent as seen from the points that are read.
+
+    Attributes:
+        source: the source.
+        depth: optical depth towards it [point, node].
+        forward: depth of what is scattered forward, which is not in `depth` [point, node].
+        seen: whether nothing hides it.
+    """
 
     source: AbstractDeltaSource
     depth: Float[Array, "point node"]
+    forward: Float[Array, "point node"]
     seen: Float[Array, "point 1"]
 
     def arriving(self, between: Between, point: Float[Array, "ray 3"]) -> tuple[Array, Array]:
@@ -67,6 +77,7 @@ class Part(eqx.Module):
         field: L_lm [read, harmonic, node]; None where what the lattice errs is not sampled.
         doubt: of the moments; None where what the lattice errs is sampled.
         glow: emission and scattering in the mean over directions, as shares of the largest of each node [read, 1, 1].
+        halo: of what is scattered forward; None without beams.
         beams: of all sources without extent.
     """
 
@@ -76,6 +87,7 @@ class Part(eqx.Module):
     field: Float[Array, "read harmonic node"] | None
     doubt: Doubt | None
     glow: Float[Array, "read 1 1"]
+    halo: Halo | None
     beams: tuple[Beam, ...]
     counts: tuple[int, int, int] = eqx.field(static=True)
 
@@ -105,19 +117,24 @@ class Part(eqx.Module):
             tables: moments [read, some, node], of the first of the harmonics.
         """
         read = [self.read(point, toward[:, : table.shape[1]], table) for table in tables]
-        straight = self.of_beams(point, direction, *read[0][1:])
+        straight, _ = self.of_beams(point, direction, *read[0][1:])
         return [found + straight for found, *_ in read]
 
-    def of_beams(self, point: Array, direction: Array, between: Between, scattering: Array) -> Array:
-        """What of J comes straight from sources without extent [ray, node]; see `read` for the last two."""
+    def of_beams(self, point: Array, direction: Array, between: Between, scattering: Array) -> tuple[Array, Array]:
+        """What of J comes straight from sources without extent [ray, node], and how much `halo` changes it.
+
+        See `read` for the last two arguments.
+        """
         phase = self.medium.lobe
         assert phase is not None
-        straight = jnp.zeros_like(scattering)
+        straight, changed = jnp.zeros_like(scattering), jnp.zeros_like(scattering)
         for beam in self.beams:
+            assert self.halo is not None
             irradiance, omega = beam.arriving(between, point)
-            lobe = jax.vmap(phase.eval)(dot(omega, direction))
-            straight = straight + scattering * lobe / self.kept[None] * irradiance
-        return straight
+            cosine, scattered = dot(omega, direction), scattering / self.kept[None] * irradiance
+            change = scattered * self.halo.change(cosine, between.read(beam.forward))
+            straight, changed = straight + scattered * jax.vmap(phase.eval)(cosine) + change, changed + change
+        return straight, changed
 
 
 class Scattered(AbstractMedium):
@@ -183,8 +200,9 @@ class Scattered(AbstractMedium):
     def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], ...]:
         """Radiance of the plumes alone [ray, node], that of fewer harmonics, and what else it may lack.
 
-        That is half of what changes with the way in which the lattice is read, with its sign, and `SLOW` times what
-        changes as every piece of a ray is halved. Where what the lattice errs is sampled, that is all of it.
+        That is half of what changes with the way in which the lattice is read, with its sign, `SPREAD` of what halos
+        change, and `SLOW` times what changes as every piece of a ray is halved. Where what the lattice errs is sampled,
+        that is all of it.
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
@@ -202,7 +220,9 @@ class Scattered(AbstractMedium):
                 found, few = part.source(point, rays.direction, toward, [part.moments, part.doubt.rough])
                 whole, rough = whole + found, rough + few
                 reading = part.doubt.reading
-                coarse = coarse + part.read(point, toward[:, : reading.shape[1]], reading)[0] / 2
+                changed, between, scattering = part.read(point, toward[:, : reading.shape[1]], reading)
+                spread = part.of_beams(point, rays.direction, between, scattering)[1]
+                coarse = coarse + changed / 2 + SPREAD * spread
             return jnp.tile(extinction, count), jnp.concatenate([whole, rough, coarse][:count], axis=1)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
@@ -234,7 +254,7 @@ class Scattered(AbstractMedium):
         total = jnp.zeros((point.shape[0], self.nodes), point.dtype)
         for part in self.parts:
             between, scattering = about(part.counts, part.medium.to_cube(point)), part.medium.scattering_at(point)
-            total = total + part.of_beams(point, along, between, scattering)
+            total = total + part.of_beams(point, along, between, scattering)[0]
         return total
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:

@@ -14,8 +14,9 @@ however often light is scattered. L is then known along every other ray by one i
 
 Of a forward lobe the share f = chi_(order + 1) is taken as not scattered (Wiscombe, "The delta-M method", J. Atmos.
 Sci. 34, 1977), and light of sources without extent is scattered once with the whole phase function (Nakajima and
-Tanaka, JQSRT 40, 1988). Between the lattice's points L_lm is interpolated by cubics, and the optical depth towards
-sources linearly on a lattice `FINER` times as fine. Rays to the lattice's points read it twice in each of `PANELS`.
+Tanaka, JQSRT 40, 1988), as spread as it is by what was scattered forward before, see `_halo`. Between the lattice's
+points L_lm is interpolated by cubics, and the optical depth towards sources linearly on a lattice `FINER` times as
+fine. Rays to the lattice's points read it twice in each of `PANELS`.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from jaxir.medium import AbstractMedium, AbstractScatterer, merged_cuts, panel_p
 from jaxir.scene import Lit
 from jaxir.transport._method import DiscreteOrdinates
 from jaxir.transport.ordinates._collected import collected
+from jaxir.transport.ordinates._halo import DEGREE, Halo, halo
 from jaxir.transport.ordinates._krylov import solved
 from jaxir.transport.ordinates._lattice import Between, Lattice, about, lattice_of, places, refined
 from jaxir.transport.ordinates._medium import Beam, Doubt, Part, Scattered
@@ -135,7 +137,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
         return jnp.einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (where, passed, into))[1])
 
     beams = [
-        tuple(_beam(lit, medium, part, lattice, source) for source in lit.scene.delta_sources)
+        tuple(_beam(lit, medium, given, part, lattice, source) for source in lit.scene.delta_sources)
         for part, lattice in zip(parts, lattices, strict=True)
     ]
     straight = jnp.zeros_like(unscattered)
@@ -189,6 +191,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
             if errs
             else lax.stop_gradient(_doubt(lattice, of_few(own, table), of_few(own, few), of_few(own, plain))),
             glow=lax.stop_gradient(_glow(part, lattice, table)),
+            halo=_halo(part, shining, own.forward, order),
             beams=shining,
             counts=lattice.read,
         )
@@ -291,17 +294,28 @@ def _ahead(
     return [(about(lattice.read, part.to_cube(place)), weights(part)) for part, lattice in parts]
 
 
-def _beam(lit: Lit, medium: AbstractMedium, part: AbstractScatterer, lattice: Lattice, source: Any) -> Beam:
-    """A source as seen from the points that are read."""
+def _beam(
+    lit: Lit, medium: AbstractMedium, given: AbstractMedium, part: AbstractScatterer, lattice: Lattice, source: Any
+) -> Beam:
+    """A source as seen from the points that are read, in a medium that was `given` with its forward lobes."""
     point = part.from_cube(as_float(places(lattice.read)))
     omega, distance = jax.vmap(source.toward)(point)
-    passed = medium.transmittance(Rays(point, omega), distance)
-    depth = -jnp.log(jnp.maximum(passed, jnp.finfo(passed.dtype).tiny))  # beyond it nothing is left
+    each = [one.transmittance(Rays(point, omega), distance) for one in (medium, given)]
+    depth, whole = (-jnp.log(jnp.maximum(x, jnp.finfo(x.dtype).tiny)) for x in each)  # beyond it nothing is left
     seen = jnp.ones((point.shape[0], 1), point.dtype)
     if lit.scene.skin is not None:
         hidden = any_hit(lit.scene.skin.mesh, lax.stop_gradient(Rays(point, omega)), t_max=lax.stop_gradient(distance))
         seen = jnp.where(hidden[:, None], 0, seen)
-    return Beam(source, depth, seen)
+    return Beam(source, depth, jnp.maximum(whole - depth, 0), seen)
+
+
+def _halo(part: AbstractScatterer, beams: tuple[Beam, ...], forward: Float[Array, " node"], order: int) -> Halo | None:
+    if not beams:
+        return None
+    assert part.lobe is not None
+    chi = jnp.broadcast_to(part.lobe.moments(DEGREE), (DEGREE + 1, len(forward)))
+    deepest = functools.reduce(jnp.maximum, [lax.stop_gradient(beam.forward).max(axis=0) for beam in beams])
+    return halo(chi, forward, order, deepest)
 
 
 def _of_beams(part: AbstractScatterer, lattice: Lattice, beams: tuple[Beam, ...], order: int) -> Array:
