@@ -303,7 +303,7 @@ def test_parts_of_an_obj_file_are_its_objects(tmp_path):
     )
     assert load_mesh(tmp_path / "m.obj", unit="m").part_names == ("a", "b")
     for line, message in (
-        ("f 1 2 9", "expected vertices 1 to 4"),
+        ("f 1 2 9", "got vertex 9, expected one of 1 to 4"),
         ("f 1 x 2", "got 'f 1 x 2'"),
         ("v 0 0", "fewer than th"),
     ):

@@ -23,13 +23,15 @@ from jaxir.command_line._formats import (
     SHOW_FORMATS,
     SIGNATURE_FORMATS,
     outputs_of,
-    save_figure,
+    require_targets,
+    targets,
     write,
 )
 from jaxir.command_line._quantities import conditions_of, named, naming, quantities_of, read_scene, scene_of
 from jaxir.geometry import Camera
 from jaxir.imaging import ErrorBudget, Image, Outcome, Signature, check_views, prepare_image, render, signature
-from jaxir.io.result import require_full_table, sweep
+from jaxir.io._files import labels
+from jaxir.io.result import require_full_table, sweep, sweep_states
 from jaxir.io.scene_file import SceneFile
 from jaxir.optics.spectrum import as_nodes
 from jaxir.scene import Scene
@@ -40,6 +42,7 @@ LEFT_OUT = {
     "bounces": "method.bounces leaves out",
     "outside": "the frame leaves out",
 }
+SHARED = ("bands", "signature.views", "signature.components")  # of all states of a table
 
 
 def render_command(arguments: argparse.Namespace) -> None:
@@ -48,7 +51,9 @@ def render_command(arguments: argparse.Namespace) -> None:
     read = read_scene(arguments.scene)
     if not read.cameras:
         raise ValueError(f"{read.file}: got no key camera, expected one for render")
-    for quantity, label in quantities_of(arguments).items():
+    quantities = quantities_of(arguments)
+    require_targets(outputs, read.cameras, quantities.values())
+    for quantity, label in quantities.items():
         scene = scene_of(read, quantity)
         for name, camera in read.cameras.items():
             began = time.perf_counter()
@@ -66,15 +71,7 @@ def render_command(arguments: argparse.Namespace) -> None:
             print(f"{name or 'image'}, {quantity}\n{errors}")
             if image.parts is not None:
                 print(_by_component(image))
-            for path in outputs:
-                write(
-                    RENDER_FORMATS,
-                    named(path, f"_{name}" if name else "", label),
-                    image,
-                    conditions,
-                    errors,
-                    **drawn_as(arguments),
-                )
+            write(RENDER_FORMATS, targets(outputs, name, label), image, conditions, errors, **drawn_as(arguments))
 
 
 def _camera_conditions(name: str, camera: Camera, image: Image) -> dict[str, str | int | float]:
@@ -91,13 +88,13 @@ def warn_of_errors(read: SceneFile, errors: ErrorBudget) -> None:
             warnings.warn(f"{read.file}: {what} about {share:.0%} of the intensity", stacklevel=2)
 
 
-def warn_of_missed(read: SceneFile, table: Signature) -> None:
-    """Say in how many views a tolerance that was asked for is not met."""
+def warn_of_missed(read: SceneFile, table: Signature, state: str = "") -> None:
+    """Say in how many views, of a state, a tolerance that was asked for is not met."""
     asked = {name: value for name in ("rtol", "atol") if (value := read.signature.get(name)) is not None}
     missed = int(np.sum(~table.meets(**asked)))
     if missed:
         names = " or ".join(f"signature.{name}" for name in asked)
-        views = f"{missed} of {len(table.azimuth)} views"
+        views = f"{missed} of {len(table.azimuth)} views{f' of {state}' if state else ''}"
         warnings.warn(
             f"{read.file}: {names} was not met in {views} ({_limits(signature, read.signature)})", stacklevel=2
         )
@@ -120,32 +117,37 @@ def signature_command(arguments: argparse.Namespace) -> None:
         raise ValueError(f"{read.file}: got no key signature.views, expected it for signature")
     if any(path.suffix == ".txt" for path in outputs):
         naming(read, lambda: require_full_table(read.signature["views"], read.names))
+    if read.states is not None:
+        read.states.refuse(SHARED, "bands, views and components of a table are the same in all states")
+    require_targets(outputs, [""], quantities.values())
     for quantity, label in quantities.items():
-        scene, began = scene_of(read, quantity), time.perf_counter()
-        asked = read.signature | split_by(arguments)
-        asked |= {"bands": read.bands, "method": read.method}
-        if read.states is None and arguments.folder is None:
-            table = naming(read, partial(signature, scene, **asked))
-        else:
-            table = naming(read, partial(table_of_states, read, quantity, arguments.folder, label, asked))
-        warn_of_missed(read, table)
+        began = time.perf_counter()
+        table = naming(read, partial(table_of, read, quantity, label, arguments))
         errors = table.error_budget(arguments.errors)
         warn_of_errors(read, errors)
         print(f"{quantity}\n{errors}")
         conditions = conditions_of(read, quantity, began, errors=errors.described(), unit="W sr-1")
-        for path in outputs:
-            write(SIGNATURE_FORMATS, named(path, label), table, conditions, errors, **drawn_as(arguments))
+        write(SIGNATURE_FORMATS, targets(outputs, "", label), table, conditions, errors, **drawn_as(arguments))
 
 
-def table_of_states(
-    read: SceneFile, quantity: str, folder: Path | None, label: str, asked: dict[str, Any]
-) -> Signature:
-    """The table of all states of a file, or of the file, whose finished views are kept in a folder if there is one."""
-    with tempfile.TemporaryDirectory() as own:
-        kept = Path(own) / "views" if folder is None else named(folder, label)
+def table_of(read: SceneFile, quantity: str, label: str, arguments: argparse.Namespace) -> Signature:
+    """The table of a file, or of all its states, whose finished views are kept in a folder if there is one."""
+
+    def of(own: SceneFile, entry: Callable[..., Signature], state: str = "") -> Signature:
+        asked = own.signature | split_by(arguments)
+        table = entry(scene_of(own, quantity), bands=own.bands, method=own.method, **asked)
+        warn_of_missed(own, table, state)
+        return table
+
+    if read.states is None and arguments.folder is None:
+        return of(read, signature)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = arguments.folder or Path(temporary) / "views"
+        kept = named(folder.resolve(), label)
         if read.states is None:
-            return sweep(kept, scene_of(read, quantity), **asked)
-        return sweep(kept, lambda **state: scene_of(read.at(**state), quantity), over=read.states.over, **asked)
+            return of(read, partial(sweep, kept))
+        over = read.states.over
+        return sweep_states(kept, over, lambda view, state: of(read.at(**state), partial(sweep, view), view.name))
 
 
 def film_command(arguments: argparse.Namespace) -> None:
@@ -154,19 +156,20 @@ def film_command(arguments: argparse.Namespace) -> None:
     read = read_scene(arguments.scene)
     if read.states is None or not read.cameras:
         raise ValueError(f"{read.file}: got no section over or no camera, expected both for film")
-    for quantity, label in quantities_of(arguments).items():
-        films: dict[str, dict[str, Image]] = {name: {} for name in read.cameras}
+    quantities = quantities_of(arguments)
+    require_targets(outputs, read.cameras, quantities.values())
+    shown = {axis: labels(values, 6) for axis, values in read.states.over.items()}
+    for quantity, label in quantities.items():
+        films: dict[str, dict[str, Image]] = {}
         for state in read.states.every:
             own = naming(read, partial(read.at, **state))
-            title = ", ".join(f"{axis} {value:g}" for axis, value in state.items())
+            title = ", ".join(f"{axis} {shown[axis][value]}" for axis, value in state.items())
             for name, camera in own.cameras.items():
                 asked = {"method": own.method, **own.render}
-                films[name][title] = naming(read, partial(render, scene_of(own, quantity), camera, own.bands, **asked))
+                image = naming(read, partial(render, scene_of(own, quantity), camera, own.bands, **asked))
+                films.setdefault(name, {})[title] = image
         for name, images in films.items():
-            for path in outputs:
-                path = named(path, f"_{name}" if name else "", label)
-                FILM_FORMATS[path.suffix].save(path, images, **drawn_as(arguments))
-                print(f"wrote {path}")
+            write(FILM_FORMATS, targets(outputs, name, label), images, **drawn_as(arguments))
 
 
 def drawn_as(arguments: argparse.Namespace) -> dict[str, str]:
@@ -194,11 +197,11 @@ def show_command(arguments: argparse.Namespace) -> None:
     """`jaxir show`: what a scene holds; nothing is rendered."""
     outputs = outputs_of(arguments.output, [], SHOW_FORMATS)
     read = read_scene(arguments.scene)
+    require_targets(outputs, [""], [""])
     naming(read, partial(check, read))
     print(read.describe())
-    for path in outputs:
-        save_figure(path, plot.scene_view(read.scene, read.cameras, arguments.colour))
-        print(f"wrote {path}")
+    if outputs:
+        write(SHOW_FORMATS, outputs, plot.scene_view(read.scene, read.cameras, arguments.colour))
 
 
 def check(read: SceneFile) -> None:

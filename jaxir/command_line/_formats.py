@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
-from collections.abc import Callable
+import itertools
+import os
+import stat
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxir import plot
-from jaxir.imaging import ErrorBudget, Image, Signature
+from jaxir.command_line._quantities import named
+from jaxir.imaging import Image, Signature
 from jaxir.io._files import written_whole
 from jaxir.io.result import (
-    Conditions,
+    require_afsim_name,
     require_suffix,
     save_afsim,
     save_image,
@@ -19,6 +24,8 @@ from jaxir.io.result import (
     save_signature,
     save_tiff,
 )
+
+PICTURES = (".png", ".gif")
 
 
 class Format(NamedTuple):
@@ -53,6 +60,12 @@ def save_film(path: Path, images: dict[str, Image], **options: Any) -> None:
     film = plot.film(images, **options)
     with written_whole(path) as part:
         part.write_bytes(film)
+
+
+def save_text(path: Path, text: str) -> None:
+    """Write a text."""
+    with written_whole(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 RENDER_FORMATS = {
@@ -92,7 +105,7 @@ FILM_FORMATS = {
     ),
 }
 REPORT_FORMATS = {
-    ".html": Format("one page that holds everything (extra plot)", ("matplotlib", "plot"), lambda *about: None),
+    ".html": Format("one page that holds everything (extra plot)", ("matplotlib", "plot"), save_text),
 }
 SHOW_FORMATS = {
     ".png": Format("mesh, plume, lights and cameras (extra plot)", ("matplotlib", "plot"), save_figure),
@@ -110,22 +123,42 @@ def outputs_of(asked: list[Path] | None, default: list[Path], formats: dict[str,
     return outputs
 
 
-def write(
-    formats: dict[str, Format],
-    path: Path,
-    result: Image | Signature,
-    conditions: Conditions,
-    errors: ErrorBudget,
-    **options: str,
-) -> None:
-    """Write a result by the ending of the file's name, and say so; options are those of a picture."""
-    picture = options if path.suffix == ".png" else {}
-    formats[path.suffix].save(path, result, conditions, errors, **picture)
-    print(f"wrote {path}")
+def targets(outputs: Iterable[Path], camera: str, label: str) -> list[Path]:
+    """The files of an image or table: those asked for, with what camera and quantity add to their names."""
+    return [named(path, f"_{camera}" if camera else "", label) for path in outputs]
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text whole or not at all, and say so."""
-    with written_whole(path) as part:
-        part.write_text(text, encoding="utf-8")
-    print(f"wrote {path}")
+def require_targets(outputs: list[Path], cameras: Iterable[str], labels: Iterable[str]) -> None:
+    """Raise `ValueError` unless the files of all cameras and quantities can be written."""
+    for camera, label in itertools.product(cameras, labels):
+        for path in targets(outputs, camera, label):
+            try:
+                _require_target(path)
+            except (OSError, ValueError) as error:
+                raise ValueError(f"-o {path}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _require_target(path: Path) -> None:
+    if path.suffix == ".txt":
+        require_afsim_name(path.stem)
+    with contextlib.suppress(FileNotFoundError):
+        if stat.S_ISDIR(path.stat().st_mode):
+            raise ValueError("got a folder, expected a file")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise ValueError(f"the folder {path.parent} may not be written")
+
+
+def write(formats: dict[str, Format], paths: Iterable[Path], *result: Any, **options: str) -> None:
+    """Write a result to every path by its ending, and say so; the first error is raised when all were tried.
+
+    Options are those of a picture.
+    """
+    failed: list[Exception] = []
+    for path in paths:
+        try:
+            formats[path.suffix].save(path, *result, **(options if path.suffix in PICTURES else {}))
+            print(f"wrote {path}")
+        except Exception as error:
+            failed.append(error)
+    if failed:
+        raise failed[0]

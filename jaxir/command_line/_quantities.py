@@ -59,8 +59,9 @@ def read_scene(path: Path) -> SceneFile:
 
 
 def naming(read: SceneFile, compute: Callable[[], Any]) -> Any:
-    """What `compute` returns; its errors name the file."""
+    """What `compute` returns; its errors name the file, once."""
     try:
         return compute()
     except (ValueError, RuntimeError) as error:
-        raise ValueError(f"{read.file}: {error}") from error
+        said = str(error).replace(f"{read.file}: ", "")
+        raise ValueError(f"{read.file}: {said}") from error

@@ -19,7 +19,7 @@ import numpy as np
 
 from jaxir import plot
 from jaxir.command_line._commands import warn_of_errors, warn_of_missed
-from jaxir.command_line._formats import REPORT_FORMATS, outputs_of, write_text
+from jaxir.command_line._formats import REPORT_FORMATS, outputs_of, require_targets, write
 from jaxir.command_line._html import Page
 from jaxir.command_line._quantities import QUANTITIES, naming, read_scene, scene_of
 from jaxir.imaging import ErrorBudget, Image, Signature, render, signature
@@ -34,6 +34,7 @@ MOST_ROWS = 400  # of a table in a page; a CSV holds the rest
 def report_command(arguments: argparse.Namespace) -> None:
     """Render and tabulate what the scene file asks for and write one page of it."""
     outputs = outputs_of(arguments.output, [Path(f"{arguments.scene.stem}_report.html")], REPORT_FORMATS)
+    require_targets(outputs, [""], [""])
     began, quantity = time.perf_counter(), arguments.quantity or "apparent"
     with _kept_warnings() as said:
         read = read_scene(arguments.scene)
@@ -71,9 +72,8 @@ def report_command(arguments: argparse.Namespace) -> None:
         ]
     )
     page.table(("input", "SHA-256"), [(name, digest) for name, digest in hashes(read.file).items()])
-    page.text(read.file.read_text(encoding="utf-8"), folded=f"{read.file.name}, as it was read")
-    for path in outputs:
-        write_text(path, str(page))
+    page.text(read.file.read_text(encoding="utf-8-sig"), folded=f"{read.file.name}, as it was read")
+    write(REPORT_FORMATS, outputs, str(page))
 
 
 class _kept_warnings:

@@ -33,6 +33,7 @@ from jaxir._plausible import ELEVATION, usual
 from jaxir.geometry._ray import Bundle
 
 TILE = 16
+MARGIN = 1e-4  # beside what a camera is fitted to, of half the image, for rounding: rays that meet nothing hardly tell
 _RADIAN = usual(1e-8, 0.2, "rad", above="is it in degrees, mrad or urad?")
 
 
@@ -312,4 +313,4 @@ def camera_around(
     camera = aimed(centre + jnp.where(inverse > 0, 0, aside))
     half = jnp.max(jnp.abs(camera.project(extent)), axis=0)
     half = jnp.maximum(half, 1e-6 * jnp.max(half))  # a plate seen edge-on still has an image
-    return eqx.tree_at(lambda c: c.pixel, camera, half * 2.002 / as_float(np.array([columns, rows])))
+    return eqx.tree_at(lambda c: c.pixel, camera, half * (2 + MARGIN) / as_float(np.array([columns, rows])))

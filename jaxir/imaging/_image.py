@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxir._math import safe_sqrt
@@ -145,7 +146,10 @@ def _by_component(camera: Camera, parts: Array, empty: Array, names: tuple[str, 
 @program
 def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, "*component band"]:
     area = camera.pixel_area().reshape(*standard_error.shape[:2], *(1,) * (standard_error.ndim - 2))
-    return safe_sqrt(jnp.sum((standard_error * area) ** 2, axis=(0, 1)))
+    each = standard_error * area
+    most = lax.stop_gradient(jnp.max(each, axis=(0, 1), keepdims=True))
+    most = jnp.where(most > 0, most, 1)  # squares of what is faint underflow
+    return most[0, 0] * safe_sqrt(jnp.sum((each / most) ** 2, axis=(0, 1)))
 
 
 @program

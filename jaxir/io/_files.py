@@ -6,7 +6,7 @@ import csv
 import os
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import numpy as np
 from jaxir._arrays import float_dtype
 
 LARGEST_TEXT = 2**30  # bytes of a file that is read as text
+_LONGEST_PART = 200  # bytes of a name in that of its temporary file
 _CUT_AFTER = 3  # lines of one form that show how the last number of a file must look
 _FORM = re.compile(r"[+-]?\d*(?:\.(?P<decimals>\d*))?(?:[eEdD][+-]?(?P<exponent>\d*))?")
 
@@ -29,7 +30,8 @@ def written_whole(path: str | os.PathLike) -> Iterator[Path]:
     final = Path(path)
     if not final.parent.is_dir():
         raise ValueError(f"{final}: the folder {final.parent} does not exist")
-    handle, name = tempfile.mkstemp(dir=final.parent, prefix=f".{final.name}.", suffix=final.suffix)
+    short = os.fsencode(final.name)[:_LONGEST_PART].decode(errors="ignore")  # file systems bound the whole name
+    handle, name = tempfile.mkstemp(dir=final.parent, prefix=f".{short}.", suffix=final.suffix)
     os.close(handle)
     part = Path(name)
     try:
@@ -126,6 +128,14 @@ def to_number(text: str) -> float:
     if "_" in text:  # which Python takes for a separator of digits
         raise ValueError(f"could not convert string to float: {text!r}")
     return float(text)
+
+
+def labels(values: Sequence[float], digits: int) -> dict[float, str]:
+    """Values as text, with so many digits, or with as many more as tell different ones apart."""
+    every = dict.fromkeys(values)
+    while len({f"{value:.{digits}g}" for value in every}) < len(every):
+        digits += 1
+    return {value: f"{value:.{digits}g}" for value in every}
 
 
 def largest_number() -> float:

@@ -61,12 +61,13 @@ def load_face_values(path: str | os.PathLike, count: int, column: str = "tempera
             is no finite number, another ending; names file and line or place.
     """
     file = Path(path)
-    if file.suffix == ".csv":
+    suffix = file.suffix.lower()
+    if suffix == ".csv":
         return _from_csv(file, count, column)
-    if file.suffix not in (".npz", ".npy"):
+    if suffix not in (".npz", ".npy"):
         raise ValueError(f"{file}: expected a file name that ends in .csv, .npz or .npy")
-    value = load_array(file, column if file.suffix == ".npz" else None)
-    if file.suffix == ".npz" and "face" in array_names(file):
+    value = load_array(file, column if suffix == ".npz" else None)
+    if suffix == ".npz" and "face" in array_names(file):
         return _by_face(file, load_array(file, "face"), value, count)
     if value.shape != (count,):
         raise ValueError(f"{file}: {column} has shape {value.shape}, expected ({count},), one value per face")

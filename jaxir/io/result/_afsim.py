@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxir.imaging import Signature
-from jaxir.io._files import written_whole
+from jaxir.io._files import labels, written_whole
 from jaxir.io.result._results import Conditions, require_suffix
 
 BANDS = {"SWIR": "short", "MWIR": "medium", "LWIR": "long", "VLWIR": "very_long"}
@@ -46,8 +46,7 @@ def save_afsim(path: str | os.PathLike, signature: Signature, name: str, conditi
             are no full table, an intensity below zero.
     """
     require_suffix(path, ".txt")
-    if not re.fullmatch(r"\w[\w-]*", name):
-        raise ValueError(f"name: got {name!r}, expected letters, digits, _ and -")
+    require_afsim_name(name)
     aspect = np.stack([signature.azimuth, signature.elevation], axis=1)
     states = _states(signature)
     for rows in states.values():
@@ -68,6 +67,12 @@ def save_afsim(path: str | os.PathLike, signature: Signature, name: str, conditi
     lines.append("end_infrared_signature")
     with written_whole(path) as part:
         part.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
+
+
+def require_afsim_name(name: str) -> None:
+    """Raise `ValueError` unless a signature can be called so."""
+    if not re.fullmatch(r"\w[\w-]*", name, re.ASCII):
+        raise ValueError(f"name: got {name!r}, expected letters, digits, _ and -")
 
 
 def require_full_table(views: np.ndarray, bands: Sequence[str]) -> None:
@@ -94,10 +99,12 @@ def _states(signature: Signature) -> dict[str, np.ndarray]:
     if signature.state is None:
         return {"default": np.arange(signature.azimuth.size)}
     every, first, state = np.unique(np.asarray(signature.state), axis=0, return_index=True, return_inverse=True)
+    named = [labels(values, 6) for values in every.T.tolist()]
     found = {}
     for index in np.argsort(first).tolist():
-        pairs = zip(signature.axes, every[index].tolist(), strict=True)
-        found["_".join(f"{axis}_{value:.6g}" for axis, value in pairs)] = np.flatnonzero(state.reshape(-1) == index)
+        own = zip(signature.axes, named, every[index].tolist(), strict=True)
+        name = "_".join(f"{axis}_{names[value]}" for axis, names, value in own)
+        found[name] = np.flatnonzero(state.reshape(-1) == index)
     return {"default": next(iter(found.values())), **found}
 
 

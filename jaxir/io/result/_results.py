@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from jaxir.imaging import ErrorBudget, Image, Signature
-from jaxir.io._files import written_whole
+from jaxir.io._files import labels, written_whole
 
 Conditions = Mapping[str, str | int | float]
 RADIANCE = "W m-2 sr-1"
@@ -229,9 +229,11 @@ def save_signature(
         writer.writerow([*signature.axes, "azimuth_deg", "elevation_deg", *columns])
         aspect = np.stack([np.asarray(signature.azimuth), np.asarray(signature.elevation)], axis=1)
         state = np.zeros((len(values), 0)) if signature.state is None else np.asarray(signature.state)
+        shown = [labels(values, 7) for values in state.T.tolist()]
         numbers = np.concatenate([aspect, values.reshape(len(values), -1)], axis=1)
         for own, row in zip(state.tolist(), numbers.tolist(), strict=True):
-            writer.writerow([*(f"{number:.7g}" for number in own), *(f"{number:.9g}" for number in row)])
+            first = (names[value] for names, value in zip(shown, own, strict=True))
+            writer.writerow([*first, *(f"{number:.9g}" for number in row)])
 
 
 def _one_line(value: Any) -> str:
@@ -240,7 +242,7 @@ def _one_line(value: Any) -> str:
 
 def require_suffix(path: str | os.PathLike, *endings: str) -> None:
     """Raise `ValueError` unless a file name ends as its format asks and its folder exists."""
-    if not str(path).endswith(endings):
-        raise ValueError(f"{path}: expected a file name that ends in {' or '.join(endings)}")
+    if Path(path).suffix not in endings:
+        raise ValueError(f"{path}: expected a file name that ends in {' or '.join(endings)}, as name{endings[0]}")
     if not Path(path).parent.is_dir():
         raise ValueError(f"{path}: the folder {Path(path).parent} does not exist")

@@ -17,7 +17,7 @@ from jax.experimental import multihost_utils
 from jax.sharding import Mesh
 from jaxtyping import Array, Key
 
-from jaxir._arrays import as_float, is_traced, key_or_default
+from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default
 from jaxir.imaging import (
     COLUMNS,
     Signature,
@@ -30,7 +30,7 @@ from jaxir.imaging import (
     whole_table,
 )
 from jaxir.io._array_files import load_arrays
-from jaxir.io._files import read_text, remove_parts, written_whole
+from jaxir.io._files import labels, read_text, remove_parts, written_whole
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
 from jaxir.transport import Method
@@ -102,7 +102,11 @@ def sweep(
     if over is not None:
         own = {"distance": distance, "shape": shape, "samples": samples, "key": key, "method": method}
         own |= {"rtol": rtol, "atol": atol, "max_samples": max_samples, "max_seconds": max_seconds}
-        return _over(Path(folder), scene, views, bands, over, {**own, "devices": devices, "components": components})
+        own |= {"devices": devices, "components": components}
+        if isinstance(scene, Scene) or not callable(scene):
+            named = ", ".join(over) or "no axis"
+            raise ValueError(f"over: got {named} with a {type(scene).__name__}, expected a function of the axes")
+        return sweep_states(folder, over, lambda kept, state: sweep(kept, scene(**state), views, bands, **own))
     assert isinstance(scene, Scene)
     if is_traced((scene, views, distance, key, method)):
         raise ValueError("sweep: got values known only inside jit, expected a call outside it")
@@ -141,32 +145,45 @@ def sweep(
     return remembering(table, scene, asked)
 
 
-def _over(folder: Path, scene: Any, views: Any, bands: Any, over: Mapping[str, Any], asked: dict) -> Signature:
-    """The tables of all combinations of some axes, one below the other."""
+def sweep_states(
+    folder: str | os.PathLike,
+    over: Mapping[str, Sequence[float]],
+    table_of: Callable[[Path, dict[str, float]], Signature],
+) -> Signature:
+    """The tables of all combinations of some axes, one below the other; `sweep` with `over` for more than the scene.
+
+    Args:
+        folder: made if it does not exist.
+        over: axes by name, with their values.
+        table_of: the table of a combination, of a folder of its own and its values by axis.
+
+    Raises:
+        ValueError: axes without values or with one twice; a folder that cannot be made; what `table_of` raises, with
+            the combination; tables of different bands or components.
+    """
     axes = {name: np.atleast_1d(np.asarray(values, np.float64)) for name, values in over.items()}
     for name, values in axes.items():
         if name in COLUMNS:
             raise ValueError(f"over: got {name!r}, expected a name that tables do not have: not {', '.join(COLUMNS)}")
         if values.ndim != 1 or values.size == 0 or not name.isidentifier():
             raise ValueError(f"over: got {name!r} of shape {values.shape}, expected a name with a list of values")
-    if not axes or isinstance(scene, Scene) or not callable(scene):
-        raise ValueError(
-            f"over: got {', '.join(axes) or 'no axis'} with a {type(scene).__name__}, expected axes by name"
-        )
+        if np.unique(as_float(values)).size < values.size:
+            raise ValueError(f"over: got {name!r} with a value twice, expected values that differ in {float_dtype()}")
+    if not axes:
+        raise ValueError("over: got no axis, expected axes by name")
 
     def make() -> np.ndarray:
-        if not folder.parent.is_dir():
-            raise ValueError(f"{folder}: the folder {folder.parent} does not exist")
-        folder.mkdir(exist_ok=True)
+        _make(Path(folder))
         return np.zeros(())
 
     _from_first(make, np.zeros(()))
-    states = [dict(zip(axes, state, strict=True)) for state in itertools.product(*(x.tolist() for x in axes.values()))]
+    named = {name: labels(values.tolist(), 9) for name, values in axes.items()}
+    states = [dict(zip(axes, state, strict=True)) for state in itertools.product(*named.values())]
     tables = []
     for state in states:
-        name = ",".join(f"{axis}={value:.9g}" for axis, value in state.items())
+        name = ",".join(f"{axis}={named[axis][value]}" for axis, value in state.items())
         try:
-            tables.append(sweep(folder / name, scene(**state), views, bands, **asked))
+            tables.append(table_of(Path(folder) / name, state))
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
     return joined_tables(tables, states)
@@ -230,9 +247,7 @@ class _Folder:
 
     def finished(self, conditions: dict[str, str]) -> np.ndarray:
         """Which views are there; makes the folder, or makes sure that it was begun under these conditions."""
-        if not self.path.parent.is_dir():
-            raise ValueError(f"{self.path}: the folder {self.path.parent} does not exist")
-        self.path.mkdir(exist_ok=True)
+        _make(self.path)
         file = self.path / CONDITIONS
         for names in (CONDITIONS, "view_*.npz"):
             remove_parts(self.path, names)
@@ -288,6 +303,15 @@ class _Folder:
                 "views may be added at the end only"
             )
         return found
+
+
+def _make(folder: Path) -> None:
+    """Make a folder unless it is there."""
+    if not folder.parent.is_dir():
+        raise ValueError(f"{folder}: the folder {folder.parent} does not exist")
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: got a file, expected a folder")
+    folder.mkdir(exist_ok=True)
 
 
 def _begun(file: Path) -> dict[str, str]:

@@ -6,6 +6,7 @@ required is what has no default. So a scene file says what Python says, and a ne
 
 from __future__ import annotations
 
+import datetime
 import difflib
 import inspect
 import math
@@ -24,6 +25,7 @@ from jaxir.optics.air import air_pressure, air_temperature
 
 LARGEST_FILE = 64 * 2**20  # bytes of a scene file
 MOST_CELLS = 2**26  # pixels of an image, cells of a grid
+MOST_NESTED = 8  # arrays in arrays
 _LEAF = (int, float)
 COMPUTED: dict[str, Callable] = {"air_temperature": air_temperature, "air_pressure": air_pressure}
 
@@ -94,7 +96,7 @@ def read_toml(path: Path) -> Entry:
     if path.stat().st_size > LARGEST_FILE:
         raise ValueError(f"{path}: got {path.stat().st_size} bytes, expected a scene file of at most {LARGEST_FILE}")
     try:
-        return Entry(path, "", tomllib.loads(read_text(path, "utf-8")))
+        return Entry(path, "", tomllib.loads(read_text(path)))
     except (ValueError, RecursionError) as error:  # also of integers too long to be read
         if str(error).startswith(f"{path}:"):
             raise
@@ -127,6 +129,11 @@ def existing_file(entry: Entry) -> Path:
     return path
 
 
+def _existing_files(entry: Entry) -> Path | list[Path]:
+    """A file, or several."""
+    return [existing_file(item) for item in entry.items()] if isinstance(entry.value, list) else existing_file(entry)
+
+
 def integer(entry: Entry) -> int:
     """An integer."""
     if isinstance(entry.value, bool) or not isinstance(entry.value, int):
@@ -136,12 +143,16 @@ def integer(entry: Entry) -> int:
     return entry.value
 
 
-def sizes(entry: Entry) -> tuple[int, ...]:
+def _sizes(axes: int) -> Reader:
     """Numbers of rows and columns, or of cells along each axis."""
-    counts = tuple(integer(item) for item in entry.items())
-    if min(counts, default=0) < 1 or math.prod(counts) > MOST_CELLS:
-        raise entry.wrong(f"integers >= 1 whose product is at most {MOST_CELLS}")
-    return counts
+
+    def read(entry: Entry) -> tuple[int, ...]:
+        counts = tuple(integer(item) for item in entry.items())
+        if len(counts) != axes or min(counts) < 1 or math.prod(counts) > MOST_CELLS:
+            raise entry.wrong(f"{axes} integers >= 1 whose product is at most {MOST_CELLS}")
+        return counts
+
+    return read
 
 
 def truth(entry: Entry) -> bool:
@@ -169,10 +180,28 @@ def positive_or_infinite(entry: Entry) -> float:
     return float(entry.value)
 
 
-_OF_TYPE = {"float": number, "float | None": number, "int": integer, "bool": truth}  # by the annotation of a parameter
+def _moment(entry: Entry) -> datetime.datetime:
+    """Date and time with a zone."""
+    if not isinstance(entry.value, datetime.datetime) or entry.value.tzinfo is None:
+        raise entry.wrong("date and time with a zone, as 2026-06-21T12:00:00Z")
+    return entry.value
 
 
-def numbers(entry: Entry) -> float | np.ndarray:
+_OF_TYPE: dict[str, Reader] = {  # by the annotation of a parameter
+    "float": number,
+    "float | None": number,
+    "int": integer,
+    "bool": truth,
+    "tuple[int, int]": _sizes(2),
+    "tuple[int, int, int]": _sizes(3),
+    "datetime.datetime": _moment,
+    "Path": existing_file,
+    "str | os.PathLike": existing_file,
+    "str | os.PathLike | Sequence[str | os.PathLike]": _existing_files,
+}
+
+
+def numbers(entry: Entry, nested: int = 0) -> float | np.ndarray:
     """A number, an array of numbers, or numbers elsewhere.
 
     `{ path = "file.npz", array = "name" }` and `{ path = "file.npy" }` stand for an array in a file,
@@ -183,7 +212,9 @@ def numbers(entry: Entry) -> float | np.ndarray:
         return _elsewhere(entry)
     if not isinstance(entry.value, list):
         return number(entry)
-    members = [np.asarray(numbers(item), np.float64) for item in entry.items()]
+    if nested == MOST_NESTED:
+        raise entry.wrong(f"at most {MOST_NESTED} arrays in one another")
+    members = [np.asarray(numbers(item, nested + 1), np.float64) for item in entry.items()]
     for member, item in zip(members, entry.items(), strict=True):
         if member.shape != members[0].shape:
             raise item.wrong(f"as many numbers as {entry.key}[0] has")
@@ -238,8 +269,8 @@ def construct(entry: Entry, constructor: Callable, readers: Mapping[str, Reader]
     Args:
         entry: the table; a key `type` is not looked at.
         constructor: class or function.
-        readers: how values are read, by parameter; of the others those annotated as one number are read as one, the
-            rest by `numbers`.
+        readers: how values are read, by parameter; the others are read as their annotation asks (a number, sizes, a
+            file), or by `numbers`.
         known: parameters that are no keys, with their values.
 
     Returns:

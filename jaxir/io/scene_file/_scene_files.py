@@ -29,6 +29,7 @@ import numpy as np
 from jaxir._arrays import as_float, enforce
 from jaxir.geometry import Camera
 from jaxir.imaging import render, signature
+from jaxir.io._files import labels
 from jaxir.io.field import load_flow
 from jaxir.io.scene_file._entries import (
     Entry,
@@ -86,7 +87,7 @@ class SceneFile(NamedTuple):
     notes: tuple[str, ...]
     states: States | None = None
 
-    def at(self, **state: float) -> SceneFile:
+    def at(self, /, **state: float) -> SceneFile:
         """The file in a state, of a value of every axis of `over` by its name; errors as `load_scene`."""
         if self.states is None:
             raise ValueError(f"{self.file}: got no section over, expected it for {', '.join(state)}")
@@ -117,7 +118,7 @@ class SceneFile(NamedTuple):
         if "views" in self.signature:
             lines.append(f"signature: {len(self.signature['views'])} views")
         if self.states is not None:
-            axes = ", ".join(f"{name} {' '.join(f'{x:g}' for x in own)}" for name, own in self.states.over.items())
+            axes = ", ".join(f"{name} {' '.join(labels(own, 6).values())}" for name, own in self.states.over.items())
             lines.append(f"over {axes}: {len(self.states.every)} states")
         return "\n".join(lines)
 
@@ -172,7 +173,7 @@ def _describe_skin(skin: Skin) -> list[str]:
     return lines
 
 
-ELSEWHERE = ("scene", "camera", "bands", "method")  # parameters with a section of their own
+ELSEWHERE = ("scene", "camera", "bands", "method", "devices")  # parameters with a section of their own, or for Python
 RENAMED = {  # keys of version 0.1, with those that say the same now
     "plume": "plumes",
     "reflection": "method",
@@ -207,7 +208,10 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
         ValueError: a file that is missing, cut or not readable, a key that is unknown or missing, a value of another
             type or out of range; one line that names file, key, what was got and what was expected.
     """
-    return _read(read_toml(Path(path)))
+    read = _read(read_toml(Path(path)))
+    if read.states is not None and read.states.new_keys:
+        read.at(**read.states.every[0])
+    return read
 
 
 def _read(whole: Entry) -> SceneFile:

@@ -135,7 +135,7 @@ def _face_list(entry: Entry, body: Body, readers: Mapping[str, Reader]) -> np.nd
 def face_temperature(entry: Entry, mesh: Mesh, faces: np.ndarray, readers: Mapping[str, Reader]) -> np.ndarray:
     """Temperatures of some faces [face]: a number, a list, a file with a value per face, or a computed surface."""
     if isinstance(entry.value, dict) and "path" in entry.value:
-        if existing_file(entry.children()["path"]).suffix in (".csv", ".npz", ".npy"):
+        if existing_file(entry.children()["path"]).suffix.lower() in (".csv", ".npz", ".npy"):
             return construct(entry, load_face_values, {**readers, "column": text}, count=faces.size)
         return construct(entry, load_surface_field, {**readers, "field": text}, mesh=mesh).value[faces]
     value = np.asarray(numbers(entry))

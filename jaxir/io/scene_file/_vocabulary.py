@@ -5,7 +5,6 @@ A new gas, brdf, light, atmosphere is one line here; a new parameter of one is n
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,12 +30,10 @@ from jaxir.io.scene_file._entries import (
     Reader,
     build,
     construct,
-    existing_file,
     integer,
     number,
     numbers,
     one_of,
-    sizes,
     text,
 )
 from jaxir.io.spectra import load_atmosphere_csv, load_k_tables, load_tape7, load_tape7_sun
@@ -160,18 +157,6 @@ def _per_node(entry: Entry) -> float | np.ndarray:
     return value[..., None] if isinstance(value, np.ndarray) and value.ndim == 3 else value
 
 
-def _moment(entry: Entry) -> datetime.datetime:
-    """Date and time with a zone."""
-    if not isinstance(entry.value, datetime.datetime) or entry.value.tzinfo is None:
-        raise entry.wrong("date and time with a zone, as 2026-06-21T12:00:00Z")
-    return entry.value
-
-
-def _files(entry: Entry) -> Any:
-    """A file, or several."""
-    return [existing_file(item) for item in entry.items()] if isinstance(entry.value, list) else existing_file(entry)
-
-
 def _key(entry: Entry) -> Any:
     return jax.random.key(integer(entry))
 
@@ -281,7 +266,7 @@ def _of(constructors: dict[str, Callable]) -> Reader:
     return lambda entry: build(entry, constructors, READERS)
 
 
-# How the values of parameters are read, whatever constructor they belong to; those not named here are numbers.
+# How the values of parameters are read, whatever constructor they belong to; those not named here by their types.
 READERS: dict[str, Reader] = {
     "air": _of(ATMOSPHERES),
     "axes": _of(AXES),
@@ -311,7 +296,6 @@ READERS: dict[str, Reader] = {
     "panels": integer,
     "particles": _of(PARTICLES),
     "parts": _texts,
-    "path": _files,
     "phase": _of(PHASES),
     "plume_light": _of({"PlumeLight": PlumeLight}),
     "points": integer,
@@ -320,12 +304,10 @@ READERS: dict[str, Reader] = {
     "sampler": _of(SAMPLERS),
     "samples": integer,
     "scattering": _of({"DiscreteOrdinates": DiscreteOrdinates}),
-    "shape": sizes,
     "skin_light": _of({"SkinLight": SkinLight}),
     "sun": lambda entry: build(entry, SUNS, READERS, default="Sun"),
     "table": _mie,
     "tables": _k_tables,
-    "time": _moment,
     "up": _direction,
     "unit": _unit,
 }

@@ -6,6 +6,7 @@ import pytest
 
 import jaxir
 from jaxir.io.result import save_afsim
+from jaxir.io.result._sweep import joined_tables
 
 
 def table(azimuth, elevation, bands=("MWIR",), sign=1.0):
@@ -38,6 +39,7 @@ def test_what_afsim_cannot_take_is_refused(tmp_path):
     good = table([-90, 90], [0, 10])
     for given, name, message in (
         (good, "two words", "name: got 'two words'"),
+        (good, "büro", "name: got 'büro'"),
         (table([0], [0, 10]), "a", "views: got 2 aspects of 1 azimuths and 2 elevations"),
         (table([0, 400], [0, 10]), "a", "views: got angles beyond"),
         (table([0, 10], [0, 100]), "a", "views: got angles beyond"),
@@ -50,3 +52,13 @@ def test_what_afsim_cannot_take_is_refused(tmp_path):
         save_afsim(tmp_path / "s.csv", good, "a")
     save_afsim(tmp_path / "s.txt", table([-90, 90], [0, 10], ("mine",)), "a")
     assert "band default" in (tmp_path / "s.txt").read_text()
+    with pytest.raises(ValueError, match="^.txt: expected a file name that ends in .txt, as name.txt"):
+        save_afsim(".txt", good, "a")
+
+
+def test_states_of_close_values_stay_apart(tmp_path):
+    parts = [table([0, 90], [0, 10]), table([0, 90], [0, 10])]
+    both = joined_tables(parts, [{"range": 1000001.0}, {"range": 1000002.0}])
+    save_afsim(tmp_path / "s.txt", both, "a")
+    states = [line.split()[1] for line in (tmp_path / "s.txt").read_text().splitlines() if "state" in line]
+    assert states == ["default", "range_1000001", "range_1000002"]

@@ -8,12 +8,13 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxir
 from jaxir.imaging import _repeated as repeated
-from jaxir.io.result import save_afsim, save_netcdf, save_signature, sweep
+from jaxir.io.result import save_afsim, save_netcdf, save_signature, sweep, sweep_states
 from tests.io.result.sweeping import SHAPE, asked
 from tests.scenes import plate
 
@@ -169,8 +170,35 @@ def test_axes_that_are_none_are_refused(tmp_path):
     for scene, over, message in (
         (flight, {"mach": []}, r"over: got 'mach' of shape \(0,\), expected a name with a list of values"),
         (flight, {"azimuth": [1.0]}, "over: got 'azimuth', expected a name that tables do not have"),
-        (flight(0.5, 0.0, 0.0), {"mach": [1.0]}, "over: got mach with a Scene, expected axes by name"),
+        (flight(0.5, 0.0, 0.0), {"mach": [1.0]}, "over: got mach with a Scene, expected a function of the axes"),
+        (flight, {}, "over: got no axis, expected axes by name"),
+        (
+            flight,
+            {"mach": [1e8, 1e8 + 1]},
+            "over: got 'mach' with a value twice, expected values that differ in float32",
+        ),
         (lambda altitude: flight(0.5, altitude, 0.0), {"altitude": [3e4]}, "altitude=30000: altitude: got 30000"),
     ):
         with pytest.raises(ValueError, match=message):
             sweep(tmp_path / "s", scene, views, jaxir.LWIR, over=over, shape=SHAPE)
+
+
+def test_states_have_names_that_tell_them_apart(tmp_path):
+    """In folders and files; those of ordinary values are short."""
+    one = jnp.ones((1, 1))
+    lone = jaxir.Signature(one[0], one[0], one, 0 * one, ("LWIR",), 0 * one)
+    folders = []
+
+    def table_of(folder, state):
+        folders.append(folder.name)
+        return lone
+
+    over = {"mach": [0.1 + 0.2, 0.9], "range": [16777214.0, 16777213.0, 1e10]}
+    table = sweep_states(tmp_path / "kept", over, table_of)
+    assert folders[:3] == ["mach=0.3,range=16777214", "mach=0.3,range=16777213", "mach=0.3,range=1e+10"]
+    save_signature(tmp_path / "t.csv", table)
+    rows = [line.split(",")[:2] for line in (tmp_path / "t.csv").read_text().splitlines()[1:]]
+    assert rows[:2] == [["0.3", "16777214"], ["0.3", "16777213"]] and len({tuple(row) for row in rows}) == 6
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match="file: got a file, expected a folder"):
+        sweep_states(tmp_path / "file", over, table_of)

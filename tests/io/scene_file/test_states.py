@@ -1,11 +1,13 @@
 """Values of a scene file that vary."""
 
+import re
 from pathlib import Path
 
 import pytest
 
 import jaxir
-from jaxir.io.scene_file import load_scene
+from jaxir.io.scene_file import Entry, States, load_scene
+from jaxir.io.scene_file._states import Axis
 from tests.io.scene_file.scene_text import TEXT, write_scene
 
 OVER = """
@@ -37,6 +39,9 @@ def test_a_state_has_the_values_of_its_axes(tmp_path):
         read.at(mach=0.7, level=1)
 
 
+TWICE = "[over.a]\nvalues = [300]\nkeys = ['skin.temperature']\n[over.b]\nvalues = [1, 2]\nkeys = ['KEY']"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -47,6 +52,16 @@ def test_a_state_has_the_values_of_its_axes(tmp_path):
         ("[over.t]\nvalues = [1]\nkeys = ['sources[3].irradiance']", r"got the key 'sources\[3\].irradiance', .* no 3"),
         ("[over.t]\nvalues = [1]\nkeys = ['skin.parts.a']", "it has no 'parts' there"),
         ("[over]", "over: got .* expected at least one table, as over.mach"),
+        ("[over.t]\nvalues = [1]\nkeys = ['.']", "over.t: got the key '.', expected one as sources"),
+        ("[over.t]\nvalues = [1]\nkeys = ['[]']", r"over.t: got the key '\[\]', expected one as sources"),
+        ("[over.t]\nvalues = [300]\nkeys = ['skin..temperature']", "got the key 'skin..temperature', expected one as"),
+        ("[over.t]\nvalues = [300]\nkeys = ['skin.temprature']", "skin.temprature: unknown key, .*mean temperature"),
+        (TWICE.replace("KEY", "skin.temperature"), "over.b: got the key 'skin.temperature', expected one apart from"),
+        (TWICE.replace("KEY", "skin"), "over.b: got the key 'skin', expected one apart from 'skin.temperature'"),
+        (
+            "[over.t]\nvalues = [9]\nkeys = ['skin.temperature']\ntables = { 'skin.temperature' = [9] }",
+            "over.t.tables.skin.temperature: got .* expected no values: 'skin.temperature' is among over.t.keys",
+        ),
     ],
 )
 def test_what_varies_nothing_is_refused(tmp_path, text, message):
@@ -56,10 +71,23 @@ def test_what_varies_nothing_is_refused(tmp_path, text, message):
 
 def test_a_value_that_does_not_fit_names_its_key(tmp_path):
     read = load_scene(write_scene(tmp_path, TEXT + "[over.t]\nvalues = [300, -1]\nkeys = ['skin.temperature']"))
-    with pytest.raises(ValueError, match=r"skin.temperature: got -1.0, expected temperatures > 0 K"):
+    with pytest.raises(ValueError, match=r"skin.temperature: got -1, expected temperatures > 0 K"):
         read.at(t=-1)
     with pytest.raises(ValueError, match="got no section over, expected it for t"):
         load_scene(write_scene(tmp_path)).at(t=1)
+
+
+def test_integers_stay_integers_and_an_axis_may_have_any_name(tmp_path):
+    read = load_scene(write_scene(tmp_path, TEXT + "[over.self]\nvalues = [2, 4]\nkeys = ['signature.samples']"))
+    assert [read.at(**state).signature["samples"] for state in read.states.every] == [2, 4]
+
+
+@pytest.mark.parametrize("key", ["bands", "bands[0].lower", "signature", "signature.views", "signature.views.azimuth"])
+def test_what_may_not_vary_is_refused_at_in_and_around_its_key(key):
+    states = States(Entry(Path("a.toml"), "", {}), {"t": Axis((1.0,), {"skin.temperature": [1], key: [1]})})
+    with pytest.raises(ValueError, match=rf"a.toml: over.t: got the key '{re.escape(key)}', expected others: why"):
+        states.refuse(("bands", "signature.views"), "why")
+    states.refuse(("method", "signature.samples") if key != "signature" else ("method",), "why")
 
 
 def test_the_example_s_states_are_scenes():
