@@ -63,7 +63,8 @@ def render(
         camera: the eye.
         bands: bands (one gray node each) or spectral nodes.
         samples: rays per pixel; even. By default 8, or with rtol or atol what `jaxir.plan` finds.
-        key: random key; a fixed one by default, so results repeat.
+        key: random key; a fixed one by default, so results repeat. Where rtol or atol lets ways to find light be tried,
+            their times decide, which other work may change: with a method given the numbers are always the same.
         method: how light is found; by default `Method()`, or with rtol or atol alone as `jaxir.plan` finds cheapest.
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
             the intensity: passes of `samples` if given, else as `jaxir.plan` foretells, which places many rays where

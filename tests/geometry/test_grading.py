@@ -32,6 +32,17 @@ def test_half_of_the_columns_and_rows_go_to_a_bright_ball(distance):
     assert float(camera.pixel_area().sum()) == pytest.approx(float(even.pixel_area().sum()), rel=2e-3)
 
 
+@pytest.mark.parametrize("distance", [np.inf, 300.0])
+@pytest.mark.parametrize("aside", [0.0, 200.0])
+def test_a_frame_holds_its_target_and_hardly_more(aside, distance):
+    """What rays hardly meet beside it they do not tell: it would count as target."""
+    extent = EXTENT + aside
+    for azimuth, elevation in ((0.0, 0.0), (35.0, -70.0), (180.0, 90.0)):
+        camera = fitted_camera(azimuth, elevation, extent, (8, 8), distance)
+        filled = np.abs(np.asarray(camera.project(extent))).max(axis=0) / np.asarray(camera.half_size())
+        assert (filled < 1).all() and (filled > 1 - 1e-4).all()
+
+
 def test_nothing_bright_leaves_the_raster_even():
     camera = graded_camera(20.0, 10.0, EXTENT, _balls(np.array([[0, 3, -2]]), 0.25, 0.0), (5, 7))
     even = fitted_camera(20.0, 10.0, EXTENT, (5, 7))

@@ -1,5 +1,6 @@
 """The renderer against closed forms: plates, sunlit plates, gray boxes, and isothermal scenes."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -205,3 +206,10 @@ def test_the_standard_error_is_the_scatter_over_keys():
     scatter = np.var([float(i.radiant_intensity()[0]) for i in images], ddof=1)
     claimed = np.mean([float(i.intensity_error()[0]) ** 2 for i in images])
     assert 0.6 < scatter / claimed < 1.55  # chi-squared of 63 degrees of freedom: .1 % to 99.9 %
+
+
+def test_the_error_of_what_is_faint_is_not_lost():
+    """Squares of 1e-25 are none in single precision."""
+    image = jaxir.render(jaxir.Scene(plate()), jaxir.orthographic_camera(20.0, 0.0, 0.09, (16, 16)), jaxir.MWIR)
+    faint = eqx.tree_at(lambda i: i.standard_error, image, image.standard_error * 1e-25)
+    np.testing.assert_allclose(faint.intensity_error() * 1e25, image.intensity_error(), rtol=1e-5)
