@@ -91,8 +91,8 @@ class DiscreteOrdinates(Physical):
     lobe backward that the harmonics do not resolve, is refused. Shadows of the skin on the plume are as sharp as the
     lattice, and what scattered light skin reflects back into the plume is left out. Near the direction of a source
     without extent its halo, light scattered forward more than once, is that of small angles: through cubes .3 and 1
-    deep (asymmetry .8 and .95) it errs by .1 to 1 % towards the source, where .5 to 4 % are told, and by .3 to 2 % ten
-    degrees beside it, where .1 to 2 % are.
+    deep (asymmetry .8 and .95) it errs by .1 to 1 % towards the source, where .5 to 4 % are told, and by up to 3 % ten
+    to forty degrees beside it, where .1 to 3 % are.
     Costs some 15 times along across^2 (2 order + 2) (2 order + 3) rays once for a scene, and a few times more for a ray
     than a plume without particles.
 

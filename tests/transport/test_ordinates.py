@@ -145,10 +145,10 @@ def test_what_the_lattice_errs_is_sampled_without_bias_and_with_little_noise():
 
 
 @optimised
-@pytest.mark.parametrize("away", [0.0, 5.0])
+@pytest.mark.parametrize("away", [0.0, 5.0, 70.0])
 @pytest.mark.parametrize("depth", [0.3, 1.0])
 def test_the_sun_is_seen_through_particles_with_its_halo(depth, away):
-    """Against forced collision: scattered once with the whole lobe the sun is 8 to 30 % too bright."""
+    """Against forced collision: scattered once with the whole lobe the sun is 8 to 30 % too bright, aside right."""
     angle = np.deg2rad(away)
     plume = box(depth / 2, 0.95, jaxir.HenyeyGreenstein(0.8), 200.0)
     scene = jaxir.Scene(plumes=plume, sources=(jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0),))

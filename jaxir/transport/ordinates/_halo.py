@@ -14,7 +14,8 @@ and as it goes on by dt it sends, in place of f P, what that grows by: f G(t) of
 
 To first order in t the change is -t (2 P - P^2*), the second correction of Nakajima and Tanaka. Without it the sun seen
 through particles is too bright, by 9 and 30 % at depths of .3 and 1 where g is .8 and the harmonics' degree 3, by 22
-and 91 % where g is .95; with it these four err by .2 to 1 %.
+and 91 % where g is .95; with it these four err by .2 to 1 %. Far aside the lobe is smooth where light has spread, and
+once scattered by all of it is right to some per cent; G would be wrong by a third, so the change ends at `WIDEST`.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from jaxir._arrays import as_float
 
 DEGREE = 384  # of the moments: lobes down to a degree
 ANGLES = 128  # at which it is tabulated, crowded where light goes straight on
+WIDEST = 40.0  # [deg] to which the change fades out, smoothly
 POWERS = 7  # Chebyshev polynomials of the depth
 
 
@@ -80,7 +82,9 @@ def halo(chi: Float[Array, "degree node"], forward: Float[Array, " node"], order
     at_depths = jnp.einsum("al,tln->atn", as_float(legendre), change)
     to_powers = np.linalg.inv(np.polynomial.chebyshev.chebvander(place, POWERS - 1))
     table = jnp.einsum("pt,atn->apn", as_float(to_powers), at_depths)
-    return Halo(table * jnp.where(some, forward, 0)[None, None], deepest)
+    near = np.clip(1 - 2 * _away() / (1 - np.cos(np.deg2rad(WIDEST))), 0, 1)
+    fading = as_float(near**2 * (3 - 2 * near))[:, None, None]
+    return Halo(table * fading * jnp.where(some, forward, 0)[None, None], deepest)
 
 
 def _away() -> np.ndarray:
