@@ -182,8 +182,7 @@ class Pass(NamedTuple):
 
     def tile(self, chunk: Int[Array, ""] | int) -> Int[Array, " tile"]:
         """Tiles of a chunk, spread over the image, so that chunks cost the same; the last may lie beyond it."""
-        size = self.size
-        return jnp.asarray(chunk, jnp.int32) + jnp.asarray(-(-self.tiles // size) * np.arange(size, dtype=np.int32))
+        return jnp.asarray(chunk, jnp.int32) + jnp.asarray(len(self.chunks()) * np.arange(self.size, dtype=np.int32))
 
 
 def first_pass(

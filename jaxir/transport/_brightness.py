@@ -133,8 +133,7 @@ def faces_in_sight(lit: Lit, camera: Camera) -> Bool[Array, " face"]:
     assert lit.scene.skin is not None
     mesh = lit.scene.skin.mesh
     centre = mesh.corners().mean(axis=1)
-    inverse = 0.0 if camera.inverse_range is None else camera.inverse_range
-    toward = camera.frame[2][None] + inverse * (camera.target[None] - centre)
+    toward = camera.frame[2][None] + camera.inverse_range * (camera.target[None] - centre)
     toward = toward / jnp.linalg.norm(toward, axis=1, keepdims=True)
     return ~any_hit(mesh, Rays(centre, toward), leaving=jnp.arange(mesh.count, dtype=jnp.int32))
 

@@ -107,8 +107,10 @@ class Part(eqx.Module):
         each = jnp.broadcast_to(length[:, None, None], (*t.shape, 1))
         return collected(near, share, each, jnp.ones_like(length)[:, None], self.glow)[:, 0]
 
-    def source(self, point: Array, direction: Array, toward: Array, tables: Sequence[Array]) -> list[Array]:
-        """J of rays in `direction` at points [ray, node] [W m-3 sr-1] by tables of moments.
+    def source(
+        self, point: Array, direction: Array, toward: Array, tables: Sequence[Array]
+    ) -> tuple[list[Array], Array]:
+        """J of rays in `direction` at points [ray, node] [W m-3 sr-1] by tables of moments, and what `halo` changes it.
 
         Args:
             point: points [ray, 3] [m].
@@ -117,8 +119,8 @@ class Part(eqx.Module):
             tables: moments [read, some, node], of the first of the harmonics.
         """
         read = [self.read(point, toward[:, : table.shape[1]], table) for table in tables]
-        straight, _ = self.of_beams(point, direction, *read[0][1:])
-        return [found + straight for found, *_ in read]
+        straight, changed = self.of_beams(point, direction, *read[0][1:])
+        return [found + straight for found, *_ in read], changed
 
     def of_beams(self, point: Array, direction: Array, between: Between, scattering: Array) -> tuple[Array, Array]:
         """What of J comes straight from sources without extent [ray, node], and how much `halo` changes it.
@@ -187,7 +189,8 @@ class Scattered(AbstractMedium):
             point, toward = rays.at(t), harmonics(-rays.direction, self.order)
             extinction, source = self.medium.coefficients(point)
             for part in self.parts:
-                source = source + part.source(point, rays.direction, toward, [part.moments])[0]
+                (found,), _ = part.source(point, rays.direction, toward, [part.moments])
+                source = source + found
             return extinction, source
 
         return radiance_between(cuts, rays, behind, coefficients)
@@ -215,14 +218,13 @@ class Scattered(AbstractMedium):
             whole, rough, coarse = emission, emission, jnp.zeros_like(emission)
             for part in self.parts:
                 if part.doubt is None:
-                    whole = whole + part.source(point, rays.direction, toward, [part.moments])[0]
+                    (found,), _ = part.source(point, rays.direction, toward, [part.moments])
+                    whole = whole + found
                     continue
-                found, few = part.source(point, rays.direction, toward, [part.moments, part.doubt.rough])
+                (found, few), changed = part.source(point, rays.direction, toward, [part.moments, part.doubt.rough])
                 whole, rough = whole + found, rough + few
                 reading = part.doubt.reading
-                changed, between, scattering = part.read(point, toward[:, : reading.shape[1]], reading)
-                spread = part.of_beams(point, rays.direction, between, scattering)[1]
-                coarse = coarse + changed / 2 + SPREAD * spread
+                coarse = coarse + part.read(point, toward[:, : reading.shape[1]], reading)[0] / 2 + SPREAD * changed
             return jnp.tile(extinction, count), jnp.concatenate([whole, rough, coarse][:count], axis=1)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
