@@ -34,7 +34,7 @@ def scenes() -> Iterator[tuple[str, jaxir.Scene, jaxir.Camera]]:
     """Name, scene, eye."""
     for name, scene, _, pixel in plan_choice.scenes():
         yield name, scene, plan_choice.camera(pixel)
-    azimuth, elevation, width, _ = AIRCRAFT
+    azimuth, elevation, width = AIRCRAFT
     for count in (256, 512):
         eye = jaxir.orthographic_camera(azimuth, elevation, width / count, (count, count))
         yield f"aircraft, sun, {count}", aircraft_scene()[0], eye

@@ -93,15 +93,15 @@ def mesh(mi, vertices, faces, bsdf, emitter=None):
     return shape
 
 
-def renderer(mi, dr, scene, count):
-    """A function of a seed: the image [row, column] of `count` rays per pixel."""
+def renderer(mi, dr, scene, count, channels=1):
+    """A function of a seed: the image [row, column], or of several channels, of `count` rays per pixel."""
     loaded = mi.load_dict(scene)
 
     def run(seed):
         image = mi.render(loaded, spp=count, seed=seed)
         dr.eval(image)
         dr.sync_thread()
-        return np.asarray(image)[:, :, 0]
+        return np.asarray(image)[:, :, 0] if channels == 1 else np.asarray(image)[:, :, :channels]
 
     return run
 

@@ -59,8 +59,8 @@ def picture(width: float, pixels: int, reach: float, samples: int = 1) -> Bundle
     return camera.bundle(screen, jnp.asarray(2 * reach, jnp.float32))
 
 
-def embree(corners: np.ndarray) -> Callable[[np.ndarray, np.ndarray, str], Any] | None:
-    """Raw Embree through embreex: run(origins, directions, query); None where it is not installed."""
+def embree(corners: np.ndarray) -> Callable[..., Any] | None:
+    """Raw Embree through embreex: run(origins, directions, query, output=None); None where it is not installed."""
     try:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
@@ -68,7 +68,7 @@ def embree(corners: np.ndarray) -> Callable[[np.ndarray, np.ndarray, str], Any] 
         return None
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(corners, np.float32))
-    return lambda origin, direction, query: scene.run(origin, direction, query=query)
+    return lambda origin, direction, query, **more: scene.run(origin, direction, query=query, **more)
 
 
 def trimesh_embree(vertices: np.ndarray, faces: np.ndarray) -> Any:

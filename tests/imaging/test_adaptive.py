@@ -6,7 +6,8 @@ import pytest
 
 import jaxir
 from jaxir.imaging import _choices
-from jaxir.imaging._adaptive import MARGIN, placement, strata_of, well_shaped_strata
+from jaxir.imaging._adaptive import strata_of
+from jaxir.imaging._placement import MARGIN, placement, well_shaped_strata
 from tests.scenes import box_mesh
 
 CAMERA = jaxir.orthographic_camera(35.0, 25.0, 0.08, (32, 32))
@@ -50,7 +51,7 @@ def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch)
     assert "rays each in the mean, 8 of them to find where the others are needed" in str(plan)
     images = [rendered(key, rtol=3e-4) for key in range(24)]
     assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
-    assert abs(np.mean([int(image.samples) for image in images]) + 8 - plan.samples) < 3
+    assert plan.samples / 2 < np.mean([int(image.samples) for image in images]) + 8 < plan.samples + 3
     truth = rendered(1000, pixel_rtol=1e-3, max_samples=2**16)
     intensity = np.array([image.radiant_intensity()[0] for image in images], float)
     known = float(truth.radiant_intensity()[0])
@@ -79,7 +80,7 @@ def test_edges_that_lie_along_pixels_are_not_missed():
 def test_rays_lie_where_the_error_is():
     adaptive, even = rendered(1, pixel_rtol=1e-2), rendered(1, samples=72, rtol=0.1)
     error = [np.sqrt((np.asarray(i.standard_error) ** 2).sum()) for i in (adaptive, even)]
-    assert error[0] < error[1] and int(adaptive.samples) < 72 / 4
+    assert error[0] < error[1] / 2 and int(adaptive.samples) <= 72 / 4
 
 
 def test_a_scene_without_variance_takes_no_more_than_the_pilot():
