@@ -100,6 +100,11 @@ class Look(NamedTuple):
     seconds: float
     each: float
 
+    @property
+    def taken(self) -> int:
+        """Its rays in pixels that show the scene."""
+        return round(self.seconds / self.each)
+
     def ends(self, goal: Goal) -> bool:
         """Whether it is the answer: it meets the goal, or there is no time for as many other rays."""
         return self.met or goal.seconds < 2 * self.seconds
@@ -195,7 +200,7 @@ def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tu
     for number in range(1, 1 + ROUNDS):
         began, count = time.perf_counter(), look.strata(goal.most, left, 1.0 if number == 1 else CLOSER)
         added = 2 * float((count - 1).sum())
-        if number == 1 and look.seconds * MANY < look.each * added < left / 2:
+        if number == 1 and added > MANY * look.taken and look.each * added < left / 2:
             count = look.strata(goal.most, left, SCOUT)
             added = 2 * float((count - 1).sum())
         image = _image_with_strata(first, number, strata_of(count, first.camera), mesh)
@@ -270,7 +275,7 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
     seen, apart = sums
     apart = jax.tree.map(np.square, apart)
 
-    def mixed(image: Any, own: np.ndarray | None, divisor: np.ndarray) -> Any:
+    def replaced(image: Any, own: np.ndarray | None, divisor: np.ndarray) -> Any:
         if own is None:
             return image
         changed = np.array(image)
@@ -278,12 +283,12 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
         return placed(changed)
 
     return Estimate(
-        mixed(base.mean, seen.radiance, count),
-        mixed(base.variance, apart.radiance, count**2.0),
-        mixed(base.empty, seen.empty, count),
-        mixed(base.orders, seen.orders, count),
-        mixed(base.parts, seen.parts, count),
-        mixed(base.parts_variance, apart.parts, count**2.0),
+        replaced(base.mean, seen.radiance, count),
+        replaced(base.variance, apart.radiance, count**2.0),
+        replaced(base.empty, seen.empty, count),
+        replaced(base.orders, seen.orders, count),
+        replaced(base.parts, seen.parts, count),
+        replaced(base.parts_variance, apart.parts, count**2.0),
     )
 
 

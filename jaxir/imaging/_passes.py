@@ -74,8 +74,8 @@ def render(
         pixel_rtol: place rays where the error is until the root mean square standard
             error over the pixels that see the target is at most this share of their mean contrast to the empty image,
             in every band; with rtol or atol, both. Every pixel gets two rays of the image, and those that a pilot of
-            eight, or of more where the target is smaller than a pixel, finds to vary strata of their own, so `samples`
-            has no meaning.
+            eight, or of more where the target is smaller than a pixel, finds to vary strata of their own, and where
+            these are many a scout of a quarter of them; `samples` has no meaning.
         max_samples: rays per pixel at which to give up.
         max_seconds: of the rays, at which to give up: so many are taken as fit, by the time that the first took.
             Compiling and what `jaxir.plan` tries come on top. Where it does not suffice, the same key does not give the
