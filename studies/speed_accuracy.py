@@ -2,10 +2,11 @@
 
 Six experiments of Yu et al. (10.3788/IRLA20200241): the emitting plate, the plate under a disc, a thick and a thin
 box, the ramp medium, and an aircraft in the sun on 256, 512 and 1000 pixels a side. Each method at rising numbers of
-rays, or at falling tolerances, gives a front of relative error against CPU seconds: medians of interleaved rounds,
-compilation apart, and as hollow marks the seconds to the first image, compilation included (JAXIR_CACHE=0: else an
-earlier run's programs are read). The error is the root mean square over pixels of the relative error; of the aircraft
-that of all pixels that see it, in terms of their mean, as `pixel_rtol` asks for it; of the plate that of its intensity.
+rays, or at falling tolerances, gives a front of relative error against CPU seconds: medians of interleaved rounds on
+one core, compilation apart, and as hollow marks the seconds to the first image, compilation included (with
+JAXIR_CACHE=0: else programs of an earlier run are read). The error is the root mean square over pixels of the relative
+error; of the aircraft that of all pixels that see it, in terms of their mean, as `pixel_rtol` asks for it; of the plate
+that of its intensity.
 
 Peers: Mitsuba 3 where it can do the case (it has no emission in media: an exact walk written in Dr.Jit stands for it in
 the ramp), Embree with NumPy about it, scalar native code (numba) and NumPy in double precision.
@@ -13,6 +14,7 @@ the ramp), Embree with NumPy about it, scalar native code (numba) and NumPy in d
 
 import argparse
 import functools
+import os
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -500,10 +502,12 @@ def chart(rows: list[dict], cases: list[str]) -> Any:
 
 def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", default=",".join(CASES), help="some of %(default)s")
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=2)
 
 
 def main(run: Run) -> str:
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})  # one core for all
     chosen = run.options
     cases, peer, rows = chosen.cases.split(","), mitsuba_peer.load(), []
     for case in cases:

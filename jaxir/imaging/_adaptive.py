@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -26,7 +26,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import placed
-from jaxir._concurrent import cores, each_of
+from jaxir._concurrent import each_of
 from jaxir._programs import of_items, program
 from jaxir.geometry import TILE, Camera, places_in
 from jaxir.imaging._chunks import (
@@ -42,7 +42,7 @@ from jaxir.imaging._chunks import (
     whole_image,
 )
 from jaxir.imaging._devices import over_items, progress
-from jaxir.imaging._image import Image
+from jaxir.imaging._image import Image, joined
 from jaxir.imaging._placement import (
     EDGES,
     NOISE,
@@ -89,7 +89,7 @@ class Look(NamedTuple):
         met: whether it is the answer.
         constant: c of c / n^power, the share of the variance allowed that n rays in each pixel bring [row, column].
         power: a [row, column].
-        seconds: that its rays take, and two rays in every pixel at most.
+        seconds: that its rays took.
         each: seconds of a ray, were all of them those of pixels that show the scene.
     """
 
@@ -99,6 +99,11 @@ class Look(NamedTuple):
     power: Float[np.ndarray, "row column"]
     seconds: float
     each: float
+
+    @property
+    def base(self) -> float:
+        """Seconds of two rays in every pixel."""
+        return self.seconds / PILOT
 
     @property
     def taken(self) -> int:
@@ -115,7 +120,7 @@ class Look(NamedTuple):
 
     def strata(self, most: int, seconds: float, scale: float = 1.0) -> Int[np.ndarray, "row column"]:
         """See `placement`; in so many seconds, to `scale` times the error asked for."""
-        return placement(self.constant / scale**2, self.power, most, (seconds - self.seconds) / self.each)
+        return placement(self.constant / scale**2, self.power, most, (seconds - self.base) / self.each)
 
     def corrected(self, found: Float[np.ndarray, "row column"], strata: Int[np.ndarray, "row column"]) -> Look:
         """With the share of the variance allowed that an image of so many strata found, beside what the pilot did.
@@ -148,9 +153,12 @@ def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = N
 
 def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> Look:
     """What a pilot of an image sees, of `few` rays per pixel in each pass; other arguments of `adapted`."""
-    taken = first.of(few)._replace(number=as_number(0), sets=PILOT)
-    passes = over_items(estimate_chunk, every_pixel, taken, taken.chunks(), "render", mesh)
-    image = image_of_pixels(taken, _together(passes), placed(np.int32(PILOT * few)))
+    passes, times = [], []
+    for number in range(PILOT):
+        began = time.perf_counter()
+        passes.append(even_image(first, number, few, mesh=mesh))
+        times.append(time.perf_counter() - began)
+    image = reduce(joined, passes)
     met = goal.excess(image) <= FIRST
     varied, mean = _of_a_pass(passes), np.asarray(image.radiance, np.float64)
     noisy = first.method.needs_key(first.lit.scene)
@@ -161,28 +169,8 @@ def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> L
     constant = np.maximum(even[..., None] * varied * few**factor, edges * 2**factor)
     constant, power = mixed((goal.weight(image) * constant).max(axis=-1), power)
     shown = max(1, int((mean != np.asarray(image.empty, np.float64)).any(axis=-1).sum()))
-    spent = _seconds(taken)
-    return Look(image, met, constant, power, spent, spent / (PILOT * few * shown))
-
-
-def _seconds(taken: Pass) -> float:
-    """That a pass takes whose chunks are compiled, by one of them."""
-    chunks, of = taken.chunks(), of_items(estimate_chunk, taken)
-    began = time.perf_counter()
-    jax.block_until_ready(of(placed(chunks[0])))
-    return (time.perf_counter() - began) * len(chunks) / min(cores(), len(chunks))
-
-
-@program
-def _together(passes: Estimate) -> Estimate:
-    """Of all `PILOT` passes [row, column, pass, ...] together."""
-    mean = [jax.tree.map(lambda leaf: leaf.mean(axis=2), part) for part in (passes.mean, passes.orders, passes.parts)]
-    variance = [
-        jax.tree.map(lambda leaf: leaf.sum(axis=2) / PILOT**2, part)
-        for part in (passes.variance, passes.parts_variance)
-    ]
-    empty = passes.empty if passes.empty.ndim == 3 else passes.empty.mean(axis=2)
-    return Estimate(mean[0], variance[0], empty, mean[1], mean[2], variance[1])
+    spent = min(times)  # the first compiles
+    return Look(image, met, constant, power, PILOT * spent, spent / (few * shown))
 
 
 def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tuple[Image, bool]:
@@ -197,20 +185,20 @@ def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tu
     if look.ends(goal):
         return look.image, look.met
     left = goal.seconds - look.seconds
-    for number in range(1, 1 + ROUNDS):
-        began, count = time.perf_counter(), look.strata(goal.most, left, 1.0 if number == 1 else CLOSER)
+    for number in range(PILOT, PILOT + ROUNDS):
+        began, count = time.perf_counter(), look.strata(goal.most, left, 1.0 if number == PILOT else CLOSER)
         added = 2 * float((count - 1).sum())
-        if number == 1 and added > MANY * look.taken and look.each * added < left / 2:
+        if number == PILOT and added > MANY * look.taken and look.each * added < left / 2:
             count = look.strata(goal.most, left, SCOUT)
             added = 2 * float((count - 1).sum())
         image = _image_with_strata(first, number, strata_of(count, first.camera), mesh)
         if goal.excess(image) <= 1:
             return image, True
-        spent = min(time.perf_counter() - began, look.seconds + added * look.each)  # the first compiles
+        spent = min(time.perf_counter() - began, look.base + added * look.each)  # the first compiles
         left -= spent
         if left < spent:  # no time for as many again
             break
-        each = min(look.each, max(spent - look.seconds, spent / 10) / max(added, 1))  # timers are coarse
+        each = min(look.each, max(spent - look.base, spent / 10) / max(added, 1))  # timers are coarse
         variance = np.asarray(image.standard_error, np.float64) ** 2
         look = look.corrected((goal.weight(image) * variance).max(axis=-1), count)._replace(each=each)
     return image, False
@@ -224,15 +212,14 @@ def _image_with_strata(first: Pass, number: int, strata: Strata, mesh: Mesh | No
     return image_of_pixels(taken, with_strata(taken, pixels, strata), placed(np.int32(round(mean))))
 
 
-def _of_a_pass(passes: Estimate) -> Float[np.ndarray, "row column band"]:
+def _of_a_pass(passes: list[Image]) -> Float[np.ndarray, "row column band"]:
     """Variance of the mean of the rays of a pass, by those of all: both sets of points of one may agree by chance.
 
-    With n passes [row, column, pass, band], means m_i and variances e_i^2 it is
-    sum (e_i^2 + (m_i - mean)^2) / (2 n - 1).
+    With n passes, means m_i and standard errors e_i it is sum (e_i^2 + (m_i - mean)^2) / (2 n - 1).
     """
-    mean, within = (np.asarray(part, np.float64) for part in (passes.mean, passes.variance))
-    between = (mean - mean.mean(axis=2, keepdims=True)) ** 2
-    return (within + between).sum(axis=2) / (2 * PILOT - 1)
+    mean = np.array([np.asarray(image.radiance, np.float64) for image in passes])
+    within = sum(np.asarray(image.standard_error, np.float64) ** 2 for image in passes)
+    return (within + ((mean - mean.mean(axis=0)) ** 2).sum(axis=0)) / (2 * len(passes) - 1)
 
 
 def strata_of(count: Int[np.ndarray, "row column"], camera: Camera) -> Strata:

@@ -50,7 +50,6 @@ class Estimate(NamedTuple):
     `empty` is what would be seen without the scene; one value [1, 1, band] where the background is uniform. `orders`
     is what the last two orders of scattering brought [tile, pixel, 2, band]; None without particles. `parts` is the
     mean by component [tile, pixel, component, band], `parts_variance` its variance; None where they were not asked for.
-    Of more `Pass.sets` than one all have an axis of them behind that of pixels.
     """
 
     mean: Array
@@ -102,7 +101,6 @@ class Pass(NamedTuple):
         method: how radiance is found.
         parts: chunks into which a small image is cut all the same.
         components: by which radiance is split; None for none.
-        sets: independent ones of rays, each of so many strata, which are traced together.
     """
 
     lit: Lit
@@ -113,11 +111,10 @@ class Pass(NamedTuple):
     method: Method
     parts: int = PARTS
     components: Components | None = None
-    sets: int = 1
 
     @property
     def samples(self) -> int:
-        """Rays per pixel of a set; of known ones."""
+        """Rays per pixel; of known ones."""
         return 2 * int(np.prod(np.asarray(self.strata.cells)))
 
     def of(self, samples: int) -> Pass:
@@ -147,8 +144,8 @@ class Pass(NamedTuple):
     def _cut(self) -> tuple[int, int, int]:
         each = self._each
         at_once, share = self._at_once(each), min(max(TILES // each, 1), -(-self.tiles // self.parts))
-        strata = min(self.strata.together, max(at_once // (2 * self.sets), 1))
-        tiles = min(max(at_once // (2 * self.sets * strata), 1), -(-share // BLOCKS))
+        strata = min(self.strata.together, max(at_once // 2, 1))
+        tiles = min(max(at_once // (2 * strata), 1), -(-share // BLOCKS))
         return strata, tiles, tiles * -(-share // tiles)
 
     def _at_once(self, each: int) -> int:
@@ -277,16 +274,10 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
         def nothing() -> tuple[Seen, Varied]:
             dark = _dark(taken, empty)
             assert empty is not None
-
-            def everywhere(value: Array, none: Array) -> Array:
-                return jnp.broadcast_to(value.reshape((1,) * (none.ndim - value.ndim) + value.shape), none.shape)
-
             parts = dark.parts
             if parts is not None and taken.components is not None:
-                own = lit.nodes.in_band(empty_components(lit, taken.components, camera.frame[0]))
-                parts = everywhere(own, parts)
-            radiance = everywhere(empty, dark.radiance)
-            return dark._replace(radiance=radiance, parts=parts), Varied(dark.radiance, dark.parts)
+                parts = parts + lit.nodes.in_band(empty_components(lit, taken.components, camera.frame[0]))[None, None]
+            return dark._replace(radiance=dark.radiance + empty, parts=parts), Varied(dark.radiance, dark.parts)
 
         if not uniform:
             return _estimate(taken, tile, key, number, start, empty)
@@ -303,7 +294,7 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
 
 def _dark(taken: Pass, empty: Array | None) -> Seen:
     """No light in the pixels of the tiles that are handled at once."""
-    pixels = (taken.tiles_at_once, TILE * TILE, *(() if taken.sets == 1 else (taken.sets,)))
+    pixels = (taken.tiles_at_once, TILE * TILE)
     bands, dtype = taken.lit.nodes.response.shape[0], taken.camera.pixel.dtype
     zero = jnp.zeros((*pixels, bands), dtype)
     orders = None if not taken.method.samples_particles(taken.lit.scene) else jnp.zeros((*pixels, 2, bands), dtype)
@@ -324,28 +315,26 @@ def _estimate(
     `number` of the tiles tells their random numbers from those of others with the same key.
     """
     camera, count, size, some = taken.camera, taken.strata.count, tile.shape[0], taken.strata_at_once
-    turn = turns(jax.random.fold_in(key, -1 - number), size * taken.sets).reshape(2, taken.sets, size, -1)
+    turn = turns(jax.random.fold_in(key, -1 - number), size)
 
     def group(step: Array, carry: tuple[Seen, Varied]) -> tuple[Seen, Varied]:
         first = step.astype(jnp.int32) * some
         for_pixels, for_paths = jax.random.split(jax.random.fold_in(key, number * count + first))
         index = first + jnp.arange(some, dtype=jnp.int32)
-        each = for_pixels[None] if taken.sets == 1 else jax.random.split(for_pixels, taken.sets)
-        place = [stratum_points(each[k], turn[:, k], index, taken.strata.cells) for k in range(taken.sets)]
-        bundle = tile_rays(camera, tile, jnp.concatenate(place), start)
+        offset = stratum_points(for_pixels, turn, index, taken.strata.cells)
+        bundle = tile_rays(camera, tile, offset, start)
         seen = jax.tree.map(
-            lambda value: value.reshape((size, TILE * TILE, taken.sets, some, 2, *value.shape[1:])),
+            lambda value: value.reshape((size, TILE * TILE, some, 2, *value.shape[1:])),
             see(taken, bundle, for_paths),
         )
 
         def added(value: Array) -> Array:
-            there = (index < count).reshape((-1, *(1,) * (value.ndim - 4)))[None, None, None]
-            total = jnp.sum(jnp.where(there, value, 0), axis=3)
-            return total[:, :, 0] if taken.sets == 1 else total
+            there = (index < count).reshape((-1, *(1,) * (value.ndim - 3)))[None, None]
+            return jnp.sum(jnp.where(there, value, 0), axis=2)
 
-        mean = jax.tree.map(lambda value: added((value[:, :, :, :, 0] + value[:, :, :, :, 1]) / 2), seen)
+        mean = jax.tree.map(lambda value: added((value[:, :, :, 0] + value[:, :, :, 1]) / 2), seen)
         two = Varied(seen.radiance, seen.parts)
-        apart = jax.tree.map(lambda value: added((value[:, :, :, :, 0] - value[:, :, :, :, 1]) / 2), two)
+        apart = jax.tree.map(lambda value: added((value[:, :, :, 0] - value[:, :, :, 1]) / 2), two)
         return jax.tree.map(jnp.add, carry, (mean, apart))
 
     dark = _dark(taken, empty)
