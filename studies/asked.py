@@ -23,7 +23,7 @@ TOLERANCES = (3e-2, 1e-2, 3e-3)
 OF_SUM = 0.1  # tolerance of an image's intensity over that of its pixels
 FINER = 2  # tolerance over that of the images that are compared with
 MOST = 2**14  # rays in a pixel
-PILOT = 8  # rays per pixel that decide
+PILOT, SCOUT = 8, 0.25  # rays per pixel that decide, and share of others that tell more before, at most
 KINDS = ("pixels", "intensity", "views", "usual rule")
 ASPECTS = ((0.0, 0.0), (40.0, 20.0), (90.0, 0.0), (135.0, -35.0), (180.0, 10.0))
 RASTER = {"shape": (32, 64), "max_samples": 2**13}  # of a view
@@ -79,7 +79,8 @@ def compare(name: str, scene: jaxir.Scene, eye: jaxir.Camera, tolerance: float, 
     spread = np.hypot(intensity.std(ddof=1) / keys**0.5, np.hypot(*(float(i.intensity_error()[0]) for i in finer)) / 2)
     met = all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
     rays = np.mean([int(image.samples) for image in images])
-    rays = rays + PILOT if rays > PILOT or told(images[0]) > tolerance / 3 else rays  # or the pilot is the image
+    if rays > PILOT or told(images[0]) > tolerance / 3:  # else the pilot is the image
+        rays = (1 + SCOUT) * rays + PILOT
     return {
         "scene": name,
         "of": "pixels",
