@@ -292,7 +292,7 @@ def comparisons(found: Found) -> str:
         (
             "plate under a disc",
             "closed form; Mitsuba 3 beside it",
-            f"least error {short(100 * fronts['jaxir'])} %, Mitsuba's {short(100 * fronts['Mitsuba'])} %, of those run",
+            f"least error {small(100 * fronts['jaxir'])} %, Mitsuba's {small(100 * fronts['Mitsuba'])} %, of those run",
             f"{run('speed_accuracy')} (extra `peers`)",
         ),
         (

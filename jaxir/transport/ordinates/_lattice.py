@@ -67,6 +67,12 @@ def places(counts: tuple[int, ...]) -> np.ndarray:
     return np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
+def beside(counts: tuple[int, ...]) -> np.ndarray:
+    """A quarter of the step from each of `places` to the next along each axis; none from the outer ones [point, 3]."""
+    each = [np.where((np.arange(n) > 0) & (np.arange(n) < n - 1), (1 - 2 * INSET) / (4 * (n - 1)), 0) for n in counts]
+    return np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
 def refined(
     lattice: Lattice, table: Float[Array, "point *more"], ways: Sequence[Any] | None = None
 ) -> Float[Array, "read *more"]:

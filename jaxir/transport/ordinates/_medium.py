@@ -40,12 +40,14 @@ class Beam(eqx.Module):
         source: the source.
         depth: optical depth towards it [point, node].
         forward: depth of what is scattered forward, which is not in `depth` [point, node].
+        aside: what passes more by the depth at the points alone, where `depth` is the mean about them [point, node].
         seen: whether nothing hides it.
     """
 
     source: AbstractDeltaSource
     depth: Float[Array, "point node"]
     forward: Float[Array, "point node"]
+    aside: Float[Array, "point node"]
     seen: Float[Array, "point 1"]
 
     def arriving(self, between: Between, point: Float[Array, "ray 3"]) -> tuple[Array, Array]:
@@ -53,6 +55,10 @@ class Beam(eqx.Module):
         omega, _ = jax.vmap(self.source.toward)(point)
         passed = jnp.exp(-between.read(self.depth)) * between.read(self.seen)
         return jax.vmap(self.source.beam)(point) * passed, omega
+
+    def doubtful(self, between: Between, point: Float[Array, "ray 3"]) -> Array:
+        """How much irradiance may err as it is read between points [ray, node] [W m-2]: half of what `aside` makes."""
+        return jax.vmap(self.source.beam)(point) * between.read(self.aside) * between.read(self.seen) / 2
 
 
 class Doubt(NamedTuple):
@@ -110,7 +116,7 @@ class Part(eqx.Module):
     def source(
         self, point: Array, direction: Array, toward: Array, tables: Sequence[Array]
     ) -> tuple[list[Array], Array]:
-        """J of rays in `direction` at points [ray, node] [W m-3 sr-1] by tables of moments, and what `halo` changes it.
+        """J of rays in `direction` at points [ray, node] [W m-3 sr-1] by tables of moments, and what beams may err.
 
         Args:
             point: points [ray, 3] [m].
@@ -119,24 +125,25 @@ class Part(eqx.Module):
             tables: moments [read, some, node], of the first of the harmonics.
         """
         read = [self.read(point, toward[:, : table.shape[1]], table) for table in tables]
-        straight, changed = self.of_beams(point, direction, *read[0][1:])
-        return [found + straight for found, *_ in read], changed
+        straight, doubt = self.of_beams(point, direction, *read[0][1:])
+        return [found + straight for found, *_ in read], doubt
 
     def of_beams(self, point: Array, direction: Array, between: Between, scattering: Array) -> tuple[Array, Array]:
-        """What of J comes straight from sources without extent [ray, node], and how much `halo` changes it.
+        """What of J comes straight from sources without extent [ray, node], and what it may err.
 
-        See `read` for the last two arguments.
+        That is `SPREAD` of what `halo` changes and `Beam.doubtful`. See `read` for the last two arguments.
         """
         phase = self.medium.lobe
         assert phase is not None
-        straight, changed = jnp.zeros_like(scattering), jnp.zeros_like(scattering)
+        straight, doubt = jnp.zeros_like(scattering), jnp.zeros_like(scattering)
         for beam in self.beams:
             assert self.halo is not None
             irradiance, omega = beam.arriving(between, point)
-            cosine, scattered = dot(omega, direction), scattering / self.kept[None] * irradiance
-            change = scattered * self.halo.change(cosine, between.read(beam.forward))
-            straight, changed = straight + scattered * jax.vmap(phase.eval)(cosine) + change, changed + change
-        return straight, changed
+            cosine, scatters = dot(omega, direction), scattering / self.kept[None]
+            lobe, change = jax.vmap(phase.eval)(cosine), self.halo.change(cosine, between.read(beam.forward))
+            straight = straight + scatters * irradiance * (lobe + change)
+            doubt = doubt + scatters * (SPREAD * irradiance * change + beam.doubtful(between, point) * lobe)
+        return straight, doubt
 
 
 class Scattered(AbstractMedium):
@@ -203,9 +210,9 @@ class Scattered(AbstractMedium):
     def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], ...]:
         """Radiance of the plumes alone [ray, node], that of fewer harmonics, and what else it may lack.
 
-        That is half of what changes with the way in which the lattice is read, with its sign, `SPREAD` of what halos
-        change, and `SLOW` times what changes as every piece of a ray is halved. Where what the lattice errs is sampled,
-        that is all of it.
+        That is half of what changes with the way in which the lattice is read, with its sign, and what beams may err
+        (`Part.of_beams`), and `SLOW` times what changes as every piece of a ray is halved. Where what the lattice errs
+        is sampled, that is all of it.
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
@@ -221,10 +228,10 @@ class Scattered(AbstractMedium):
                     (found,), _ = part.source(point, rays.direction, toward, [part.moments])
                     whole = whole + found
                     continue
-                (found, few), changed = part.source(point, rays.direction, toward, [part.moments, part.doubt.rough])
+                (found, few), doubt = part.source(point, rays.direction, toward, [part.moments, part.doubt.rough])
                 whole, rough = whole + found, rough + few
                 reading = part.doubt.reading
-                coarse = coarse + part.read(point, toward[:, : reading.shape[1]], reading)[0] / 2 + SPREAD * changed
+                coarse = coarse + part.read(point, toward[:, : reading.shape[1]], reading)[0] / 2 + doubt
             return jnp.tile(extinction, count), jnp.concatenate([whole, rough, coarse][:count], axis=1)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)

@@ -43,7 +43,7 @@ from jaxir.transport._method import DiscreteOrdinates
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._halo import DEGREE, Halo, halo
 from jaxir.transport.ordinates._krylov import solved
-from jaxir.transport.ordinates._lattice import Between, Lattice, about, lattice_of, places, refined
+from jaxir.transport.ordinates._lattice import Between, Lattice, about, beside, lattice_of, places, refined
 from jaxir.transport.ordinates._medium import Beam, Doubt, Part, Scattered
 
 PANELS = 6  # of a ray between the lattice's points
@@ -54,6 +54,7 @@ MOST = 2**30  # numbers that transport may keep
 CLOSE = {"float32": 2e-6, "float64": 1e-8}
 MOST_STEPS = 200
 TOGETHER = 16  # nodes solved for together: little scattering ends sooner than much
+CORNERS = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))  # of cubes, about points that see a beam
 FEWER = 2  # degrees of the solution that shows what harmonics do
 CLOSE_OF_OTHERS = 1e-4  # residual at which those end that show what the lattice errs
 
@@ -297,16 +298,29 @@ def _ahead(
 def _beam(
     lit: Lit, medium: AbstractMedium, given: AbstractMedium, part: AbstractScatterer, lattice: Lattice, source: Any
 ) -> Beam:
-    """A source as seen from the points that are read, in a medium that was `given` with its forward lobes."""
-    point = part.from_cube(as_float(places(lattice.read)))
-    omega, distance = jax.vmap(source.toward)(point)
-    each = [one.transmittance(Rays(point, omega), distance) for one in (medium, given)]
-    depth, whole = (-jnp.log(jnp.maximum(x, jnp.finfo(x.dtype).tiny)) for x in each)  # beyond it nothing is left
+    """A source as seen from the points that are read, in a medium that was `given` with its forward lobes.
+
+    Depths are means of places about each point, by what is scattered there: across cells that lie along light they
+    jump, and points may lie on the cells' sides.
+    """
+    place, aside = places(lattice.read), beside(lattice.read)
+    many = part.from_cube(as_float(np.concatenate([place, *(place + aside * np.array(corner) for corner in CORNERS)])))
+    omega, distance = jax.vmap(source.toward)(many)
+    each = [one.transmittance(Rays(many, omega), distance) for one in (medium, given)]
+    each = [-jnp.log(jnp.maximum(x, jnp.finfo(x.dtype).tiny)) for x in each]  # beyond it nothing is left
+    own, whole = (x.reshape(1 + len(CORNERS), len(place), -1) for x in each)
+    weight = lax.stop_gradient(part.scattering_at(many).max(axis=1)).reshape(*own.shape[:2], 1)[1:]
+    total = weight.sum(axis=0, keepdims=True)
+    weight = jnp.where(total > 0, weight, 1) / jnp.where(total > 0, total, len(CORNERS))
+    depth, whole = ((weight * x[1:]).sum(axis=0) for x in (own, whole))
+    point, omega, distance = (x[: len(place)] for x in (many, omega, distance))
     seen = jnp.ones((point.shape[0], 1), point.dtype)
     if lit.scene.skin is not None:
         hidden = any_hit(lit.scene.skin.mesh, lax.stop_gradient(Rays(point, omega)), t_max=lax.stop_gradient(distance))
         seen = jnp.where(hidden[:, None], 0, seen)
-    return Beam(source, depth, jnp.maximum(whole - depth, 0), seen)
+    return Beam(
+        source, depth, jnp.maximum(whole - depth, 0), lax.stop_gradient(jnp.exp(-own[0]) - jnp.exp(-depth)), seen
+    )
 
 
 def _halo(part: AbstractScatterer, beams: tuple[Beam, ...], forward: Float[Array, " node"], order: int) -> Halo | None:
