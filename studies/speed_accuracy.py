@@ -85,19 +85,9 @@ def share_of_mean(reference: jaxir.Image) -> Callable[[np.ndarray], float]:
     return error
 
 
-def asking(scene, camera, tolerance) -> Callable[[int], np.ndarray]:
-    """As `rendering`, to a tolerance of pixels."""
-
+def rendering(scene, camera, samples=None, method=None, **asked) -> Callable[[int], np.ndarray]:
     def run(seed: int) -> np.ndarray:
-        image = jaxir.render(scene, camera, BAND, pixel_rtol=tolerance, key=jax.random.key(seed))
-        return np.asarray(image.radiance)[..., 0]
-
-    return run
-
-
-def rendering(scene, camera, samples, method=None) -> Callable[[int], np.ndarray]:
-    def run(seed: int) -> np.ndarray:
-        image = jaxir.render(scene, camera, BAND, samples=samples, key=jax.random.key(seed), method=method)
+        image = jaxir.render(scene, camera, BAND, samples=samples, key=jax.random.key(seed), method=method, **asked)
         return np.asarray(image.radiance)[..., 0]
 
     return run
@@ -321,7 +311,7 @@ def aircraft(side: int, peer) -> list[Way]:
     camera, glow = sight(side), 0.8 * black(300.0)
     error = share_of_mean(jaxir.render(scene, camera, BAND, samples=SIDES[side], key=jax.random.key(99)))
     ways = [Way("jaxir, even rays", n, rendering(scene, camera, n), error) for n in EVEN]
-    ways += [Way("jaxir, to a tolerance", asked, asking(scene, camera, asked), error) for asked in ASKED]
+    ways += [Way("jaxir, to a tolerance", asked, rendering(scene, camera, pixel_rtol=asked), error) for asked in ASKED]
     frame = np.asarray(view_frame(azimuth, elevation))
     search = embree(vertices[faces])
     if search:

@@ -90,6 +90,7 @@ class Look(NamedTuple):
         constant: c of c / n^power, the share of the variance allowed that n rays in each pixel bring [row, column].
         power: a [row, column].
         seconds: that its rays took.
+        taken: its rays in pixels that show the scene.
         each: seconds of a ray, were all of them those of pixels that show the scene.
     """
 
@@ -98,17 +99,13 @@ class Look(NamedTuple):
     constant: Float[np.ndarray, "row column"]
     power: Float[np.ndarray, "row column"]
     seconds: float
+    taken: int
     each: float
 
     @property
     def base(self) -> float:
         """Seconds of two rays in every pixel."""
         return self.seconds / PILOT
-
-    @property
-    def taken(self) -> int:
-        """Its rays in pixels that show the scene."""
-        return round(self.seconds / self.each)
 
     def ends(self, goal: Goal) -> bool:
         """Whether it is the answer: it meets the goal, or there is no time for as many other rays."""
@@ -170,7 +167,7 @@ def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> L
     constant, power = mixed((goal.weight(image) * constant).max(axis=-1), power)
     shown = max(1, int((mean != np.asarray(image.empty, np.float64)).any(axis=-1).sum()))
     spent = min(times)  # the first compiles
-    return Look(image, met, constant, power, PILOT * spent, spent / (few * shown))
+    return Look(image, met, constant, power, PILOT * spent, PILOT * few * shown, spent / (few * shown))
 
 
 def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tuple[Image, bool]:
