@@ -24,7 +24,7 @@ from jaxir.optics.gas._gas import (
     require_uniform,
     sum_of_mole_fractions,
 )
-from jaxir.optics.gas._spline import spline_matrix, spline_weights
+from jaxir.optics.gas._spline import spline_slopes, spline_weights
 from jaxir.optics.spectrum import Nodes, quantile_index
 
 BOLTZMANN = 1.380649e-23  # J / K, exact since 2019 (CODATA 2018)
@@ -37,11 +37,11 @@ class Axis(eqx.Module):
 
     Attributes:
         levels: increasing [level]; from four on the table is a cubic spline over them, below that one polynomial.
-        matrix: of the spline, see `jaxir.optics.gas` [level, level].
+        slopes: of the spline, see `jaxir.optics.gas._spline` [level, level].
     """
 
     levels: Float[Array, " level"]
-    matrix: Float[Array, "level level"]
+    slopes: Float[Array, "level level"]
 
     def __init__(self, field: str, levels: Any):
         """Check and convert; the levels are known when the table is made."""
@@ -49,11 +49,11 @@ class Axis(eqx.Module):
         rising = given.ndim == 1 and given.size > 0 and bool(np.all(np.isfinite(given)) and np.all(np.diff(given) > 0))
         if not rising:
             raise ValueError(f"{field}: got {levels!r}, expected increasing finite values, at least one")
-        self.levels, self.matrix = as_float(given), as_float(spline_matrix(given))
+        self.levels, self.slopes = as_float(given), as_float(spline_slopes(given))
 
     def weights(self, place: Float[Array, "*cell"]) -> Float[Array, "*cell level"]:
         """Weights of the levels at `place` [*cell, level]."""
-        return spline_weights(self.levels, self.matrix, place)
+        return spline_weights(self.levels, self.slopes, place)
 
 
 class CrossSections(eqx.Module):
@@ -141,7 +141,8 @@ class CrossSections(eqx.Module):
             self.pressure.weights(jnp.log(pressure)),
             self.mole_fraction.weights(mole_fraction),
         ]
-        table = self.log_cross_section
+        mean = jnp.mean(self.log_cross_section, axis=(0, 1, 2))  # weights sum to 1, and err for the rest alone
+        table = self.log_cross_section - mean[None, None, None]
         for axis in (2, 1, 0):  # what is the same in every cell leaves the table before there are cells
             if weights[axis].ndim == 1:
                 table = jnp.tensordot(weights.pop(axis), table, axes=(0, axis), precision=Precision.HIGHEST)
@@ -149,7 +150,7 @@ class CrossSections(eqx.Module):
             joint = functools.reduce(_outer, weights)
             rows = table.reshape(joint.shape[-1], table.shape[-1])
             table = jnp.matmul(joint, rows, precision=Precision.HIGHEST)
-        return jnp.exp(table)
+        return jnp.exp(table + mean.reshape((1,) * (table.ndim - 1) + mean.shape))
 
 
 def _outer(first: Float[Array, "*cell a"], second: Float[Array, "*cell b"]) -> Float[Array, "*cell ab"]:

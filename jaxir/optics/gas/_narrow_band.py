@@ -26,7 +26,7 @@ from jaxir.optics.gas._gas import (
     sum_of_mole_fractions,
 )
 from jaxir.optics.gas._k_distribution import log_quantile, quantile_series
-from jaxir.optics.gas._spline import spline_matrix, spline_weights
+from jaxir.optics.gas._spline import spline_slopes, spline_weights
 from jaxir.optics.spectrum import Nodes, bins_inside, quantile_index
 
 ATMOSPHERE = 101325.0  # Pa
@@ -282,9 +282,9 @@ def _log_lined(
 
 @functools.cache
 def _lined_levels() -> tuple[np.ndarray, ...]:
-    """Levels of -1000 K / T and ln p, and their splines' matrices."""
+    """Levels of -1000 K / T and ln p, and the slopes of their splines."""
     levels = -_KELVIN / co2_slots().hot_temperature, np.log(co2_slots().hot_pressure)
-    return *levels, *(spline_matrix(x) for x in levels)
+    return *levels, *(spline_slopes(x) for x in levels)
 
 
 def _spread(per_cell: Float[Array, "*cell"], like: Float[Array, "*cell node"]) -> Float[Array, "*cell node"]:
@@ -306,11 +306,11 @@ def _blend(level: Float[Array, "*cell level"], table: Float[Array, "level node"]
 @functools.cache
 def _spline() -> tuple[np.ndarray, np.ndarray]:
     levels = np.log(HOT_GAS_TEMPERATURE)
-    return levels, spline_matrix(levels)
+    return levels, spline_slopes(levels)
 
 
 def _level_weights(temperature: Float[Array, "*cell"]) -> Float[Array, "*cell level"]:
     """Weights of the table's temperatures: a cubic spline in ln T, continued by its tangents, see `no_colder`."""
-    levels, matrix = _spline()
+    levels, slopes = _spline()
     held = no_colder(temperature, COLD * HOT_GAS_TEMPERATURE[0])
-    return spline_weights(as_float(levels), as_float(matrix), jnp.log(held))
+    return spline_weights(as_float(levels), as_float(slopes), jnp.log(held))
