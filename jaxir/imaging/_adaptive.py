@@ -4,9 +4,9 @@ A pilot of few rays, which are not part of the answer, tells how much each pixel
 by the samples that it averages is biased (Kirk and Arvo, "Unbiased sampling techniques for image synthesis", 1991). By
 the laws of `jaxir.imaging._placement` it says how many rays each pixel gets.
 
-Every pixel gets two rays, or strata of its own where n_p is more. What a pixel varies is half its own pilot's, at least
-what edges may do that no ray of it told (`of_unseen_edges`), and half that of the nine around it: all rays of a pilot
-may lie on one side of an edge, in pixel after pixel where the edge lies along them. From 8 rays to hundreds such laws
+Every pixel gets two rays, or strata of its own where n_p is more. What a pixel varies is told by its own pilot and by
+those of the nine around it (`law_of`): all rays of a pilot may lie on one side of an edge, in pixel after pixel where
+the edge lies along them. From 8 rays to hundreds such laws
 err by factors, so where many are needed an image of few tells first (`SCOUT`), which is not part of the answer either.
 """
 
@@ -43,23 +43,13 @@ from jaxir.imaging._chunks import (
 )
 from jaxir.imaging._devices import over_items, progress
 from jaxir.imaging._image import Image, joined
-from jaxir.imaging._placement import (
-    EDGES,
-    NOISE,
-    SMOOTH,
-    around,
-    mixed,
-    of_unseen_edges,
-    placement,
-    varies_smoothly,
-)
-from jaxir.imaging._tolerance import FIRST, Goal
+from jaxir.imaging._placement import Law, law_of
+from jaxir.imaging._tolerance import FIRST, Goal, excess
 
 PILOT = 4  # passes of the pilot, of two rays per pixel each
 LOOKED = 2 * PILOT  # its rays per pixel
 ROUNDS = 4  # at most; each decides for the next
 MANY = 4  # times the rays that the pilot took where it saw the scene, beyond which a scout goes first
-LEAST = 1e-9  # of what was foretold
 CLOSER = 0.88  # of the error asked for, once a scout or a round that missed it told more: pixels differ
 SCOUT = 3.0  # times the error asked for, of that image: by a quarter of the rays
 OF_SPOTS = 2**32 - 2  # beside the numbers of passes, for the random numbers of pixels with strata of their own
@@ -87,8 +77,7 @@ class Look(NamedTuple):
     Attributes:
         image: of `PILOT` passes of two rays in every pixel, or of more where the target is smaller than one.
         met: whether it is the answer.
-        constant: c of c / n^power, the share of the variance allowed that n rays in each pixel bring [row, column].
-        power: a [row, column].
+        law: what so many rays in each pixel bring.
         seconds: that its rays took.
         taken: its rays in pixels that show the scene.
         each: seconds of a ray, were all of them those of pixels that show the scene.
@@ -96,8 +85,7 @@ class Look(NamedTuple):
 
     image: Image
     met: bool
-    constant: Float[np.ndarray, "row column"]
-    power: Float[np.ndarray, "row column"]
+    law: Law
     seconds: float
     taken: int
     each: float
@@ -111,27 +99,10 @@ class Look(NamedTuple):
         """Whether it is the answer: it meets the goal, or there is no time for as many other rays."""
         return self.met or goal.seconds < 2 * self.seconds
 
-    def excess(self, strata: Int[np.ndarray, "row column"]) -> float:
-        """Error, with so many in each pixel, over the error asked for."""
-        return float(np.sqrt((self.constant / (2.0 * strata) ** self.power).sum()))
-
     def strata(self, most: int, seconds: float, scale: float = 1.0) -> Int[np.ndarray, "row column"]:
-        """See `placement`; in so many seconds, to `scale` times the error asked for."""
-        return placement(self.constant / scale**2, self.power, most, (seconds - self.base) / self.each)
-
-    def corrected(self, found: Float[np.ndarray, "row column"], strata: Int[np.ndarray, "row column"]) -> Look:
-        """With the share of the variance allowed that an image of so many strata found, beside what the pilot did.
-
-        Where it has far more rays than the pilot, what both found tells the power, too.
-        """
-        rays, pilot = 2.0 * strata, 2 * PILOT - 1  # differences that tell; of a stratum one does
-        foretold, found = self.constant / rays**self.power, around(found)
-        share = strata / (pilot + strata)
-        ratio = np.divide(found, foretold, out=np.ones_like(found), where=foretold > 0)
-        falls = share * np.log(np.maximum(ratio, LEAST)) / np.log(np.maximum(rays / LOOKED, 2))
-        falls = np.where(rays > 2 * LOOKED, falls, 0)
-        power = np.clip(self.power - falls, np.minimum(self.power, EDGES[0]), max(SMOOTH[0], EDGES[0]))
-        return self._replace(constant=((1 - share) * foretold + share * found) * rays**power, power=power)
+        """See `Law.strata`; in so many seconds, to `scale` times the error asked for."""
+        law = self.law._replace(constant=self.law.constant / scale**2)
+        return law.strata(most, (seconds - self.base) / self.each)
 
 
 def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = None, alone: bool = False) -> Image:
@@ -156,18 +127,13 @@ def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> L
         passes.append(even_image(first, number, few, mesh=mesh))
         times.append(time.perf_counter() - began)
     image = reduce(joined, passes)
-    met = goal.excess(image) <= FIRST
+    met = excess(goal.shares(image)) <= FIRST
     varied, mean = _of_a_pass(passes), np.asarray(image.radiance, np.float64)
     noisy = first.method.needs_key(first.lit.scene)
-    laws = [NOISE, NOISE] if noisy else [SMOOTH, EDGES]
-    smooth = varies_smoothly(mean, varied * few)
-    power, even = (np.where(smooth, *values) for values in zip(*laws, strict=True))
-    edges, factor = of_unseen_edges(mean, varied, few, PILOT), power[..., None]
-    constant = np.maximum(even[..., None] * varied * few**factor, edges * 2**factor)
-    constant, power = mixed((goal.weight(image) * constant).max(axis=-1), power)
+    law = law_of(mean, varied, goal.weight(image), few, PILOT, noisy)
     shown = max(1, int((mean != np.asarray(image.empty, np.float64)).any(axis=-1).sum()))
     spent = min(times)  # the first compiles
-    return Look(image, met, constant, power, PILOT * spent, PILOT * few * shown, spent / (few * shown))
+    return Look(image, met, law, PILOT * spent, PILOT * few * shown, spent / (few * shown))
 
 
 def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tuple[Image, bool]:
@@ -189,15 +155,15 @@ def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tu
             count = look.strata(goal.most, left, SCOUT)
             added = 2 * float((count - 1).sum())
         image = _image_with_strata(first, number, strata_of(count, first.camera), mesh)
-        if goal.excess(image) <= 1:
+        shares = goal.shares(image)
+        if excess(shares) <= 1:
             return image, True
         spent = min(time.perf_counter() - began, look.base + added * look.each)  # the first compiles
         left -= spent
         if left < spent:  # no time for as many again
             break
         each = min(look.each, max(spent - look.base, spent / 10) / max(added, 1))  # timers are coarse
-        variance = np.asarray(image.standard_error, np.float64) ** 2
-        look = look.corrected((goal.weight(image) * variance).max(axis=-1), count)._replace(each=each)
+        look = look._replace(law=look.law.corrected(shares.max(axis=-1), count, LOOKED), each=each)
     return image, False
 
 

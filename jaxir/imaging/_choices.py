@@ -240,7 +240,7 @@ def where_it_varies(chosen: Choice, goal: Goal) -> tuple[Choice, Look | None]:
     look = looked(first, goal)
     count = look.strata(goal.most, goal.seconds - look.seconds)
     samples = LOOKED + 2 * float(count.mean())
-    excess = look.excess(count)
+    excess = look.law.excess(count)
     if (max(excess, 1), samples) >= (max(chosen.excess, 1), chosen.samples):
         return chosen, None
     seconds = look.seconds + chosen.seconds / chosen.samples * (samples - LOOKED)

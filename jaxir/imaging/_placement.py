@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,6 +20,106 @@ MARGIN = 0.9  # of the error asked for that is aimed at: what the pilot tells is
 NOISE, EDGES, SMOOTH = (1.0, 1.0), (1.5, 0.8), (2.2, 0.6)  # a, and c of even points in that of two rays
 _HALVINGS = 48
 MIDDLE = 32  # rays at which laws of neighbours are added
+LEAST = 1e-9  # of what was foretold
+
+
+class Law(NamedTuple):
+    """Share of the variance allowed that n rays in each pixel bring: c / n^a.
+
+    Attributes:
+        constant: c [row, column].
+        power: a [row, column].
+    """
+
+    constant: Float[np.ndarray, "row column"]
+    power: Float[np.ndarray, "row column"]
+
+    def at(self, rays: np.ndarray | float) -> Float[np.ndarray, "row column"]:
+        """The share that so many rays in each pixel bring."""
+        return self.constant / rays**self.power
+
+    def excess(self, strata: Int[np.ndarray, "row column"]) -> float:
+        """Error, with so many strata of two rays in each pixel, over the error asked for."""
+        return float(np.sqrt(self.at(2.0 * strata).sum()))
+
+    def smoothed(self) -> Law:
+        """`around` of laws: the law with the value and the slope that their sum has at `MIDDLE` rays."""
+        each = self.at(MIDDLE)
+        value = around(each)
+        slope = around(self.power * each) / np.where(value > 0, value, 1)
+        power = np.where(value > 0, slope, self.power)
+        return Law(value * MIDDLE**power, power)
+
+    def corrected(self, found: Float[np.ndarray, "row column"], strata: Int[np.ndarray, "row column"], few: int) -> Law:
+        """With the share of the variance allowed that an image of so many strata found, beside what `few` rays told.
+
+        Where it has far more rays than those few, what both found tells the power, too.
+        """
+        rays, differences = 2.0 * strata, few - 1  # differences that tell; of a stratum one does
+        foretold, found = self.at(rays), around(found)
+        share = strata / (differences + strata)
+        ratio = np.divide(found, foretold, out=np.ones_like(found), where=foretold > 0)
+        falls = share * np.log(np.maximum(ratio, LEAST)) / np.log(np.maximum(rays / few, 2))
+        falls = np.where(rays > 2 * few, falls, 0)
+        power = np.clip(self.power - falls, np.minimum(self.power, EDGES[0]), max(SMOOTH[0], EDGES[0]))
+        return Law(((1 - share) * foretold + share * found) * rays**power, power)
+
+    def strata(self, most: int, rays: float = math.inf) -> Int[np.ndarray, "row column"]:
+        """Strata of two rays in each pixel, in rows and columns nearly square; 1 for what two rays in the pixel do.
+
+        Args:
+            most: rays in a pixel at most.
+            rays: of all pixels at most, beyond two in each.
+        """
+        bright = self.constant > 0
+        varied, own = self.constant[bright], self.power[bright]
+        if varied.size == 0:
+            return np.ones(self.constant.shape, np.int64)
+        worth = own * varied
+
+        def strata(scale: float) -> np.ndarray:
+            return well_shaped_strata(np.minimum((scale * worth) ** (1 / (1 + own)) / 2, most / 2))
+
+        def beyond(count: np.ndarray) -> bool:
+            return bool(2 * (count - 1).sum() > rays)
+
+        low, high = (np.log(2.0 ** (1 + own) / worth).min(), np.log(float(most) ** (1 + own) / worth).max())
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            tried = strata(np.exp(middle))
+            enough = (varied / (2.0 * tried) ** own).sum() <= MARGIN**2 or beyond(tried)
+            low, high = (low, middle) if enough else (middle, high)
+            if high - low < 1e-3:
+                break
+        found = strata(np.exp(high))
+        count = np.ones(self.constant.shape, np.int64)
+        count[bright] = strata(np.exp(low)) if beyond(found) else found
+        return count
+
+
+def law_of(
+    mean: Float[np.ndarray, "row column band"],
+    varied: Float[np.ndarray, "row column band"],
+    weight: Float[np.ndarray, "row column band"],
+    few: int,
+    pilot: int,
+    noisy: bool,
+) -> Law:
+    """What a pilot tells of its pixels: half each one's own, at least that of unseen edges, half of the nine around.
+
+    Args:
+        mean: what the pilot saw.
+        varied: variance of the mean of a pass, by what it saw.
+        weight: share of what is allowed that a variance of 1 takes.
+        few: rays in a pixel of a pass.
+        pilot: how many passes.
+        noisy: whether lights are sampled.
+    """
+    laws = [NOISE, NOISE] if noisy else [SMOOTH, EDGES]
+    power, even = (np.where(varies_smoothly(mean, varied * few), *values) for values in zip(*laws, strict=True))
+    edges, factor = of_unseen_edges(mean, varied, few, pilot), power[..., None]
+    constant = np.maximum(even[..., None] * varied * few**factor, edges * 2**factor)
+    return Law((weight * constant).max(axis=-1), power).smoothed()
 
 
 def of_unseen_edges(
@@ -60,17 +161,6 @@ def varies_smoothly(
     return np.all(varied <= (down**2 + along**2) / 6, axis=-1)
 
 
-def mixed(
-    constant: Float[np.ndarray, "row column"], power: Float[np.ndarray, "row column"]
-) -> tuple[Float[np.ndarray, "row column"], Float[np.ndarray, "row column"]]:
-    """`around` of laws c / n^a: the law with the value and the slope that their sum has at `MIDDLE` rays."""
-    each = constant / MIDDLE**power
-    value = around(each)
-    slope = around(power * each) / np.where(value > 0, value, 1)
-    power = np.where(value > 0, slope, power)
-    return value * MIDDLE**power, power
-
-
 def around(values: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
     """Half each pixel's own, half the mean of the nine around it."""
     return values / 2 + sum(_nine(values)) / 18
@@ -81,42 +171,6 @@ def _nine(values: Float[np.ndarray, "row column *more"]) -> Iterator[Float[np.nd
     rows, columns = values.shape[:2]
     padded = np.pad(values, ((1, 1), (1, 1), *((0, 0),) * (values.ndim - 2)), mode="edge")
     return (padded[i : i + rows, j : j + columns] for i, j in np.ndindex(3, 3))
-
-
-def placement(
-    constant: Float[np.ndarray, "row column"], power: Float[np.ndarray, "row column"], most: int, rays: float = math.inf
-) -> Int[np.ndarray, "row column"]:
-    """Strata of two rays in each pixel, in rows and columns nearly square; 1 for what two rays in the pixel do.
-
-    Args:
-        constant: c of c / n^power, the share of the variance allowed that n rays bring.
-        power: a.
-        most: rays in a pixel at most.
-        rays: of all pixels at most, beyond two in each.
-    """
-    varied, own = constant[constant > 0], power[constant > 0]
-    if varied.size == 0:
-        return np.ones(constant.shape, np.int64)
-    worth = own * varied
-
-    def strata(scale: float) -> np.ndarray:
-        return well_shaped_strata(np.minimum((scale * worth) ** (1 / (1 + own)) / 2, most / 2))
-
-    def beyond(count: np.ndarray) -> bool:
-        return bool(2 * (count - 1).sum() > rays)
-
-    low, high = (np.log(2.0 ** (1 + own) / worth).min(), np.log(float(most) ** (1 + own) / worth).max())
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        tried = strata(np.exp(middle))
-        enough = (varied / (2.0 * tried) ** own).sum() <= MARGIN**2 or beyond(tried)
-        low, high = (low, middle) if enough else (middle, high)
-        if high - low < 1e-3:
-            break
-    found = strata(np.exp(high))
-    count = np.ones(constant.shape, np.int64)
-    count[constant > 0] = strata(np.exp(low)) if beyond(found) else found
-    return count
 
 
 def well_shaped_strata(wanted: np.ndarray) -> Int[np.ndarray, " pixel"]:

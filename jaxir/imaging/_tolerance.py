@@ -74,10 +74,14 @@ class Goal(NamedTuple):
         intensity = np.asarray(image.radiant_intensity(), np.float64)
         return np.maximum(weight, _over(area**2, self.tolerance.allowed(intensity) ** 2))
 
-    def excess(self, image: Image) -> float:
-        """Error of an image over the error asked for, of the worst band."""
-        variance = np.asarray(image.standard_error, np.float64) ** 2
-        return float(np.sqrt((self.weight(image) * variance).sum(axis=(0, 1)).max()))
+    def shares(self, image: Image) -> Float[np.ndarray, "row column band"]:
+        """w_p v_p of each pixel, see `weight`; `excess` of them tells whether the goal is met."""
+        return self.weight(image) * np.asarray(image.standard_error, np.float64) ** 2
+
+
+def excess(shares: Float[np.ndarray, "row column band"]) -> float:
+    """Error over the error asked for, of the worst band."""
+    return float(np.sqrt(shares.sum(axis=(0, 1)).max()))
 
 
 def _over(value: float | np.ndarray, allowed: np.ndarray) -> np.ndarray:

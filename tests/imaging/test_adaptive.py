@@ -7,7 +7,7 @@ import pytest
 import jaxir
 from jaxir.imaging import _choices
 from jaxir.imaging._adaptive import strata_of
-from jaxir.imaging._placement import MARGIN, placement, well_shaped_strata
+from jaxir.imaging._placement import MARGIN, Law, well_shaped_strata
 from tests.scenes import box_mesh
 
 CAMERA = jaxir.orthographic_camera(35.0, 25.0, 0.08, (32, 32))
@@ -125,17 +125,18 @@ def test_one_more_ray_is_worth_the_same_in_every_pixel(powers):
     rng = np.random.default_rng(3)
     power = rng.choice(powers, (30, 40))
     constant = np.exp(rng.normal(-3.0, 3.0, (30, 40))) * (rng.uniform(size=(30, 40)) < 0.4)
-    count = placement(constant, power, 2**40)
+    law = Law(constant, power)
+    count = law.strata(2**40)
     assert (count[constant == 0] == 1).all()
     left = (constant[constant > 0] / (2.0 * count[constant > 0]) ** power[constant > 0]).sum()
     assert 0.97 * MARGIN**2 < left <= MARGIN**2
     many = count > 100
     worth = power[many] * constant[many] / (2.0 * count[many]) ** (power[many] + 1)
     assert worth.std() < 0.1 * worth.mean()
-    capped = placement(constant, power, 64)
+    capped = law.strata(64)
     assert capped.max() <= 32
     rays = 2 * (count - 1).sum()
-    short = placement(constant, power, 2**40, rays / 10)
+    short = law.strata(2**40, rays / 10)
     assert 0.9 * rays / 10 < 2 * (short - 1).sum() <= rays / 10
     assert (short <= count).all()
     strata = strata_of(count, CAMERA)
