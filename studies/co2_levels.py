@@ -132,13 +132,21 @@ def rotations(angular: int, v3: int, highest: int = 200) -> np.ndarray:
 @functools.cache
 def partition(temperature: float) -> float:
     """Total internal partition sum: over vibrational states up to `HIGHEST` and their rotation."""
-    total = 0.0
+    energy, count = _levels()
+    return float(np.sum(count * np.exp(-C2 * energy / temperature)))
+
+
+@functools.cache
+def _levels() -> tuple[np.ndarray, np.ndarray]:
+    """Energies of the states that are counted [level] [cm-1], and 2 J + 1."""
+    energies, counts = [], []
     for (_, angular, v3), states in polyads().items():
         j = rotations(angular, v3)[:, None]
         own = states.energy < HIGHEST
         energy = states.energy[own] + term(states.rotational[own], j)
-        total += float(np.sum((2 * j + 1) * np.exp(-C2 * energy / temperature)))
-    return total
+        energies.append(energy.ravel())
+        counts.append(np.broadcast_to(2 * j + 1, energy.shape).ravel())
+    return np.concatenate(energies), np.concatenate(counts)
 
 
 def honl_london(angular: int, j: np.ndarray, step: int) -> np.ndarray:

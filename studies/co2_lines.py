@@ -6,6 +6,7 @@ is that of TIPS to 0.2 % up to 2000 K and 0.6 % up to 2500 K.
 """
 
 import functools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -25,6 +26,8 @@ GRID = 1900 + STEP * np.arange(150000)
 """Wavenumbers of all spectra [cm-1]."""
 ATMOSPHERE = 101325.0  # Pa
 WIDTH = 0.07  # Lorentz half-width at 273 K and 1 atm of any mixture, falls with sqrt(T) [cm-1]
+REACH = 500.0  # steps of temperature for which lines are looked up together [K]
+UNIT = 400 * levels.CONSTANTS[33] / (8 * np.pi * levels.SPEED_OF_LIGHT * levels.NU3**2)  # A0 / (8 pi c nu3^2) [cm]
 WEAKEST = 1e-3  # transitions between polyads whose squared moment is less than this share of (v3 + 1) are left out
 
 
@@ -54,29 +57,37 @@ def nu3_lines(temperature: float, faintest: float = 1e-8) -> Lines:
 
     with the squared moment m relative to the ground state's and the share H of the branch.
     """
-    ground = 400 * levels.CONSTANTS[33] / (8 * np.pi * levels.SPEED_OF_LIGHT * levels.NU3**2)
-    unit, found = ground / levels.NU3 / levels.partition(temperature), []
+    nu, weight, energy, quanta = _transitions(REACH * math.ceil(temperature / REACH), faintest)
+    unit = UNIT / levels.NU3 / levels.partition(temperature)
+    strength = unit * weight * np.exp(-C2 * energy / temperature) * -np.expm1(-C2 * nu / temperature)
+    seen = (strength > 0.01 * faintest * UNIT) & (strength > faintest * strength.max())
+    return Lines(nu[seen], strength[seen], energy[seen], quanta[:, seen].astype(int))
+
+
+@functools.lru_cache(maxsize=8)
+def _transitions(hottest: float, faintest: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Wavenumber [cm-1], m nu (2J + 1) H [cm-1], lower energy [cm-1] and quanta of lines seen up to `hottest` [K]."""
+    found = []
     for (total, angular, v3), lower in levels.polyads().items():
         upper = levels.polyads().get((total, angular, v3 + 1))
         if upper is None:
             continue
         j = levels.rotations(angular, v3)
         moment = levels.moments(levels.CONSTANTS, lower, upper, v3)
-        bright = np.exp(-C2 * lower.energy / temperature)[:, None] * moment > 1e-3 * faintest
+        bright = np.exp(-C2 * lower.energy / hottest)[:, None] * moment > 1e-3 * faintest
         i, k = np.nonzero(bright & (moment > WEAKEST * (v3 + 1)) & (lower.energy < levels.HIGHEST)[:, None])
         energy = lower.energy[i, None] + levels.term(lower.rotational[i, None], j)
-        population = unit * moment[i, k, None] * (2 * j + 1) * np.exp(-C2 * energy / temperature)
         for step in (-1, 0, 1) if angular else (-1, 1):
             up = j + step
             nu = upper.energy[k, None] + levels.term(upper.rotational[k, None], up) - energy
-            strength = population * nu * levels.honl_london(angular, j, step) * -np.expm1(-C2 * nu / temperature)
-            kept = (strength > 0.01 * faintest * ground) & (up >= angular)
+            weight = moment[i, k, None] * (2 * j + 1) * nu * levels.honl_london(angular, j, step)
+            # Over the partition sum, which is 1 at least.
+            kept = (weight * np.exp(-C2 * energy / hottest) > 0.01 * faintest * levels.NU3) & (up >= angular)
             states = ((total - angular) // 2, angular, angular, v3, j, step)
             quanta = [np.broadcast_to(n, nu.shape)[kept] for n in states]
-            found.append((np.stack([nu[kept], strength[kept], energy[kept]]), np.stack(quanta).astype(np.int16)))
+            found.append((np.stack([nu[kept], weight[kept], energy[kept]]), np.stack(quanta).astype(np.int16)))
     table, quanta = (np.concatenate(parts, axis=1) for parts in zip(*found, strict=True))
-    seen = table[1] > faintest * table[1].max()
-    return Lines(*table[:, seen], quanta[:, seen].astype(int))
+    return *table, quanta
 
 
 @functools.cache

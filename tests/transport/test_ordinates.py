@@ -185,19 +185,19 @@ def test_an_image_tells_what_the_last_order_changed():
 
 def test_derivatives_of_what_is_sampled_are_those_of_the_expected_value(x64):
     """By temperature, loading and albedo: those of a finer lattice, within the errors of keys."""
-    rays, at = rays_through(100), jnp.array([600.0, 1.5, 0.8])
+    rays, at = rays_through(200), jnp.array([600.0, 1.5, 0.8])
 
     def mean(values, method, key=None):
         temperature, extinction, albedo = values
         plume = box(extinction, albedo, jaxir.HenyeyGreenstein(0.5), temperature, absorption=0.2, cells=2)
         return look(jaxir.Scene(None, plume), rays, method, key).mean()
 
-    finer, steps = Method(scattering=DiscreteOrdinates(9, 9)), 1e-3 * jnp.diag(at)
+    finer, steps = Method(scattering=DiscreteOrdinates(7, 7, 2)), 1e-3 * jnp.diag(at)
     fine = np.asarray([float(mean(at + step, finer) - mean(at - step, finer)) / 2e-3 for step in steps])
     coarse = Method(scattering=DiscreteOrdinates(5, 5, 2, orders=3))
     sloped = jax.jit(jax.grad(lambda values, key: mean(values, coarse, key)))
-    each = np.asarray([sloped(at, key) * at for key in jax.random.split(jax.random.key(0), 16)])
-    error = each.std(axis=0, ddof=1) / 4
+    each = np.asarray([sloped(at, key) * at for key in jax.random.split(jax.random.key(0), 8)])
+    error = each.std(axis=0, ddof=1) / np.sqrt(8)
     assert np.all(error < 0.02 * np.abs(fine))
     assert np.all(np.abs(each.mean(axis=0) - fine) < 3 * error + 0.01 * np.abs(fine))
 
@@ -209,7 +209,7 @@ def test_derivatives_are_those_of_the_solution(x64):
     def mean(values):
         temperature, extinction, albedo = values
         plume = box(extinction, albedo, jaxir.HenyeyGreenstein(0.5), temperature, absorption=0.2, cells=2)
-        return look(jaxir.Scene(None, plume), rays, COARSE).mean()
+        return look(jaxir.Scene(None, plume), rays, Method(scattering=DiscreteOrdinates(5, 5, 2))).mean()
 
     @jax.jit
     def both(at, along):  # one program for all
@@ -355,9 +355,9 @@ def test_what_it_is_not_for_is_refused():
         unfit = jaxir.Scene(None, box(extinction, 0.9, jaxir.HenyeyGreenstein(asymmetry)))
         with pytest.raises(ValueError, match=f"DiscreteOrdinates: {field}.*: got .*, expected <="):
             jaxir.render(unfit, camera, [jaxir.MWIR], method=COARSE)
-    huge = Method(scattering=DiscreteOrdinates(400, 400))
-    with pytest.raises(ValueError, match="DiscreteOrdinates: got .* numbers to keep, expected at most"):
-        jaxir.render(jaxir.Scene(None, plume), camera, [jaxir.MWIR], method=huge)
+    for huge in (DiscreteOrdinates(10**7, 10**5), DiscreteOrdinates(order=10**7), DiscreteOrdinates(10**5, 4, 1)):
+        with pytest.raises(ValueError, match="DiscreteOrdinates: got .* numbers to keep, expected at most"):
+            jaxir.render(jaxir.Scene(None, plume), camera, [jaxir.MWIR], method=Method(scattering=huge))
     with pytest.raises(ValueError, match="DiscreteOrdinates.along: got 3, expected an integer >= 4"):
         DiscreteOrdinates(along=3)
 
@@ -439,7 +439,7 @@ def test_what_a_slab_reflects_and_transmits_of_the_sun_is_all_of_it(x64, depth):
     particles = jaxir.GrayParticles(depth, 1.0, jaxir.Isotropic())
     plume = jaxir.GridPlume(grid, 50.0, jaxir.GrayGas(0.0), particles)
     scene = jaxir.Scene(None, plume, jaxir.ParallelSource((0.0, 0.0, -1.0), 1.0))
-    method = Method(scattering=DiscreteOrdinates(25, 15, 5))
+    method = Method(scattering=DiscreteOrdinates(21, 15, 5))
     seen = np.asarray(look(scene, jaxir.Rays(jnp.asarray(origin), jnp.asarray(toward)), method))[:, 0]
     leaves = 2 * np.pi * np.sum(np.tile(weight, 2) * np.abs(cosine) * seen)
     assert abs(leaves / (1 - np.exp(-depth)) - 1) < 1e-4

@@ -43,7 +43,7 @@ from jaxir.transport._method import DiscreteOrdinates
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._halo import DEGREE, Halo, halo
 from jaxir.transport.ordinates._krylov import solved
-from jaxir.transport.ordinates._lattice import Between, Lattice, about, beside, lattice_of, places, refined
+from jaxir.transport.ordinates._lattice import FINER, Between, Lattice, about, beside, lattice_of, places, refined
 from jaxir.transport.ordinates._medium import Beam, Doubt, Part, Scattered
 
 PANELS = 6  # of a ray between the lattice's points
@@ -77,6 +77,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     """
     assert lit.medium is not None
     order, nodes, given = ordinates.order, lit.nodes.count, lit.medium
+    _require_that_it_fits(given, ordinates, nodes)
     moments = [_moments(part, order, nodes) for part in given.parts_with_particles]
     medium = given.less_forward([own.forward for own in moments])
     lit = eqx.tree_at(lambda lit: lit.medium, lit, medium)
@@ -84,12 +85,6 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     sizes = [math.prod(lattice.solved) for lattice in lattices]
     point = jnp.concatenate([p.from_cube(as_float(places(x.solved))) for p, x in zip(parts, lattices, strict=True)])
     direction, weight = (as_float(x) for x in sphere_rule(2 * order))
-    need = len(direction) * sum(sizes) * 2 * PANELS * nodes * len(parts) ** 2
-    if need > MOST:
-        raise ValueError(
-            f"DiscreteOrdinates: got {need:.2g} numbers to keep, expected at most {MOST:.2g}; take fewer points "
-            "(along, across), a lower order or fewer spectral nodes"
-        )
     lobes = harmonics(direction, order)
     by_direction = weight[:, None] * lobes
 
@@ -203,6 +198,19 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
     backward = jnp.max(jnp.stack([own.beyond for own in moments]))
     return Scattered(given if errs else medium, held, order, *lax.stop_gradient((jnp.max(rests[:, 0]), step, backward)))
+
+
+def _require_that_it_fits(medium: AbstractMedium, ordinates: DiscreteOrdinates, nodes: int) -> None:
+    parts = medium.parts_with_particles
+    counts = [part.lattice(ordinates.along, ordinates.across) for part in parts]
+    points, splines = sum(map(math.prod, counts)), sum(FINER * count**2 for own in counts for count in own)
+    directions = (2 * ordinates.order + 2) * (2 * ordinates.order + 3)  # of the rule for twice the degree
+    need = directions * points * 2 * PANELS * nodes * len(parts) ** 2 + splines
+    if need > MOST:
+        raise ValueError(
+            f"DiscreteOrdinates: got {need:.2g} numbers to keep, expected at most {MOST:.2g}; take fewer points "
+            "(along, across), a lower order or fewer spectral nodes"
+        )
 
 
 def _doubt(lattice: Lattice, table: Array, few: Array, plain: Array) -> Doubt:
