@@ -93,6 +93,9 @@ def test_states_are_one_table_and_one_film(rendered, tmp_path, capsys):
     assert (tmp_path / "f.gif").read_bytes()[:4] == b"GIF8"
     assert main(["film", str(write_scene(tmp_path, TEXT, "one.toml"))]) == 1
     assert "got no section over or no camera, expected both for film" in capsys.readouterr().err
+    grows = '[over.rows]\nvalues = [4, 8]\ntables = { "camera.shape" = [[4, 4], [8, 4]] }\n'
+    assert main(["film", str(write_scene(tmp_path, TEXT + grows, "grows.toml"))]) == 1
+    assert "over: got other bands or shape at rows 8, expected equal ones" in capsys.readouterr().err
 
 
 BARE = TEXT[: TEXT.index("[background]")] + TEXT[TEXT.index("[camera]") : TEXT.index("[signature]")]

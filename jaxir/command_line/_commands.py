@@ -165,6 +165,9 @@ def film_command(arguments: argparse.Namespace) -> None:
             own = naming(read, partial(read.at, **state))
             title = ", ".join(f"{axis} {shown[axis][value]}" for axis, value in state.items())
             for name, camera in own.cameras.items():
+                for first in list(films.get(name, {}).values())[:1]:
+                    if (first.bands, first.camera.shape) != (own.names, camera.shape):
+                        raise ValueError(f"{read.file}: over: got other bands or shape at {title}, expected equal ones")
                 asked = {"method": own.method, **own.render}
                 image = naming(read, partial(render, scene_of(own, quantity), camera, own.bands, **asked))
                 films.setdefault(name, {})[title] = image

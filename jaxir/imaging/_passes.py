@@ -214,7 +214,7 @@ def prepare_image(
     if pixel_rtol is not None and samples is not None:
         raise ValueError(f"samples: got {samples} beside pixel_rtol, expected None: pixels get what they need")
     least = samples if samples is not None else 8 if goal is None else FEW
-    if max_samples < least:
+    if goal is not None and max_samples < least:
         raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
     return first_pass(scene, camera, bands, key, least, Method() if method is None else method, components), goal
 
