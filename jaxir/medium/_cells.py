@@ -95,6 +95,11 @@ class CellMedium(AbstractScatterer):
         """See `AbstractScatterer.to_cube`."""
         return (point - self.grid.origin[None]) / self.grid.size[None]
 
+    @property
+    def smooth(self) -> bool:
+        """See `AbstractScatterer.smooth`: it jumps from cell to cell."""
+        return False
+
     def lattice(self, along: int, across: int) -> tuple[int, int, int]:
         """See `AbstractScatterer.lattice`: by the numbers of cells."""
         most = max(self.grid.shape)

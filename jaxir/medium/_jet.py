@@ -120,6 +120,11 @@ class JetMedium(AbstractScatterer):
         along = jnp.log1p(z / lip) / jnp.log1p(shape.end / lip)
         return jnp.stack([along, (x / shape.edge(z) + 1) / 2, (y / shape.edge(z) + 1) / 2], axis=1)
 
+    @property
+    def smooth(self) -> bool:
+        """See `AbstractScatterer.smooth`."""
+        return True
+
     def lattice(self, along: int, across: int) -> tuple[int, int, int]:
         """See `AbstractScatterer.lattice`."""
         return along, across, across

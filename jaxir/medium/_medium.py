@@ -148,6 +148,11 @@ class AbstractScatterer(AbstractMedium):
         """How many points the edges of the cube take, `along` the longest and at least `across` the others."""
 
     @property
+    @abc.abstractmethod
+    def smooth(self) -> bool:
+        """Whether it varies smoothly between its bounds."""
+
+    @property
     def scatters(self) -> bool:
         """See `AbstractMedium.scatters`."""
         return self.lobe is not None

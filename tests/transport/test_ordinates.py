@@ -159,18 +159,41 @@ def test_the_sun_is_seen_through_particles_with_its_halo(depth, away):
     np.testing.assert_allclose(found, known, atol=4 * error + 0.025 * known)
 
 
-def test_the_sun_in_cells_that_lie_along_its_light():
+def ball_in_the_sun(extinction, albedo):
     """A ball of cells: the lattice's points lie on sides of cells, across which the way to the sun jumps."""
     side = (np.arange(16) + 0.5) / 8 - 1
     inside = np.sum(np.stack(np.meshgrid(side, side, side)) ** 2, axis=0)[..., None] < 1
     grid = jaxir.Grid((-1.0, -1.0, -1.0), (1 / 8,) * 3, (16,) * 3)
-    particles = jaxir.GrayParticles(inside.astype(float), 0.1, jaxir.Isotropic())
+    particles = jaxir.GrayParticles(inside * extinction, albedo, jaxir.Isotropic())
     plume = jaxir.GridPlume(grid, 50.0, jaxir.GrayGas(0.0), particles)
     scene = jaxir.Scene(None, plume, jaxir.ParallelSource((-0.6, 0.0, -0.8), 100.0))
-    rays = rays_through(2000, (0.0, -1.0, 0.0), width=2.2)
+    return scene, rays_through(2000, (0.0, -1.0, 0.0), width=2.2)
+
+
+def test_the_sun_in_cells_that_lie_along_its_light():
+    scene, rays = ball_in_the_sun(1.0, 0.1)
     known = look(scene, rays, Method(orders=2), jax.random.key(1)).mean()
     found = look(scene, rays, Method(scattering=DiscreteOrdinates(9, 9, 1))).mean()
     np.testing.assert_allclose(found, known, rtol=0.012)  # -.02 where only the points themselves see the sun
+
+
+@optimised
+def test_what_a_lattice_errs_in_cells_in_the_sun_is_told():
+    """Where light is scattered often, against the same lattice with what it errs sampled."""
+    scene, rays = ball_in_the_sun(2.0, 0.95)
+    sampled = Method(scattering=DiscreteOrdinates(9, 9, 1, orders=6))
+    each = np.asarray([look(scene, rays, sampled, key).mean() for key in jax.random.split(jax.random.key(2), 6)])
+    known, error = each.mean(), each.std(ddof=1) / np.sqrt(len(each))
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), Method(scattering=DiscreteOrdinates(9, 9, 1)))
+    whole, rough, coarse, beams, pieces = (np.asarray(part).mean() for part in lacking(lit, rays))
+    told = abs(coarse) + abs(beams) + pieces + abs(whole - rough)
+    assert error < 0.003 * known < abs(whole - known) < told + 3 * error
+    assert told < 0.04 * known
+
+
+@eqx.filter_jit
+def lacking(lit, rays):
+    return lit.medium.lacking(rays)
 
 
 def test_an_image_tells_what_the_last_order_changed():
@@ -389,8 +412,8 @@ def seen_of_slab(depth, albedo, asymmetry, along=17, half=20.0, temperature=600.
         ((1.0, 0.5, 0.0), (0.454822, 0.619961, 0.559126), 5e-4),
         ((1.0, 0.9, 0.0), (0.140965, 0.191498, 0.172542), 1.5e-3),
         ((1.0, 0.9, 0.5), (None, None, 0.1734992), 1e-3),
-        ((20.0, 0.5, 0.0, 33), (0.884774, None, 0.853456), 8e-3),  # as thick as a half-space
-        ((20.0, 0.9, 0.0, 33, 1.0), (0.585053, None, None), 8e-3),  # wider, it needs more points across
+        ((20.0, 0.5, 0.0, 41), (0.884774, None, 0.853456), 8e-3),  # as thick as a half-space
+        ((20.0, 0.9, 0.0, 41, 1.0), (0.585053, None, None), 8e-3),  # wider, it needs more points across
     ],
 )
 def test_slabs_emit_what_is_known(x64, slab, exact, error):

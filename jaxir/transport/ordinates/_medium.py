@@ -66,7 +66,8 @@ class Doubt(NamedTuple):
 
     Attributes:
         rough: what they were if there were fewer harmonics [read, few, node].
-        reading: how they change with the way in which the lattice is read, see `Lattice.plain` [read, few, node].
+        reading: how much of what changes as the lattice is read by `Lattice.plain` they may err [read, few, node]:
+            half of it, all where the medium jumps.
     """
 
     rough: Float[Array, "read few node"]
@@ -208,37 +209,37 @@ class Scattered(AbstractMedium):
         return self.parts[0].moments.shape[2]
 
     def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], ...]:
-        """Radiance of the plumes alone [ray, node], that of fewer harmonics, and what else it may lack.
+        """Radiance of the plumes alone [ray, node], that of fewer harmonics, and what else it may lack, of each cause.
 
-        That is half of what changes with the way in which the lattice is read, with its sign, and what beams may err
-        (`Part.of_beams`), and `SLOW` times what changes as every piece of a ray is halved. Where what the lattice errs
-        is sampled, that is all of it.
+        That is what may change with the way in which the lattice is read (`Doubt`) and what beams may err
+        (`Part.of_beams`), with their signs, and `SLOW` times what changes as every piece of a ray is halved. Where what
+        the lattice errs is sampled, that is all of it.
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
-        count = 1 if self.parts[0].doubt is None else 3
+        count = 1 if self.parts[0].doubt is None else 4
 
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
             """Of all that are looked for side by side."""
             point, toward = rays.at(t), harmonics(-rays.direction, self.order)
             extinction, emission = self.medium.coefficients(point)
-            whole, rough, coarse = emission, emission, jnp.zeros_like(emission)
+            whole, rough, coarse, beams = emission, emission, jnp.zeros_like(emission), jnp.zeros_like(emission)
             for part in self.parts:
                 if part.doubt is None:
                     (found,), _ = part.source(point, rays.direction, toward, [part.moments])
                     whole = whole + found
                     continue
                 (found, few), doubt = part.source(point, rays.direction, toward, [part.moments, part.doubt.rough])
-                whole, rough = whole + found, rough + few
                 reading = part.doubt.reading
-                coarse = coarse + part.read(point, toward[:, : reading.shape[1]], reading)[0] / 2 + doubt
-            return jnp.tile(extinction, count), jnp.concatenate([whole, rough, coarse][:count], axis=1)
+                whole, rough, beams = whole + found, rough + few, beams + doubt
+                coarse = coarse + part.read(point, toward[:, : reading.shape[1]], reading)[0]
+            return jnp.tile(extinction, count), jnp.concatenate([whole, rough, coarse, beams][:count], axis=1)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
         found = radiance_between(halved, rays, jnp.tile(dark, count), coefficients)
-        finer, rough, coarse = jnp.split(found, 3, axis=1) if count == 3 else (found, found, dark)
-        return finer, rough, coarse, SLOW * jnp.abs(finer - self._between(cuts, rays, dark))
+        finer, rough, coarse, beams = jnp.split(found, 4, axis=1) if count == 4 else (found, found, dark, dark)
+        return finer, rough, coarse, beams, SLOW * jnp.abs(finer - self._between(cuts, rays, dark))
 
     def expected(
         self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"], omega: Float[Array, "ray 3"]
@@ -345,9 +346,10 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     """
     if not isinstance(lit.medium, Scattered):
         return None
-    found = jnp.zeros((4, lit.nodes.count), camera.pixel.dtype)
+    found = jnp.zeros((5, lit.nodes.count), camera.pixel.dtype)
     for part in lit.medium.parts:
         rays, weight = chosen_rays(part, camera, lit.scene.start(camera))
         found = found + jnp.stack([weight @ radiance for radiance in lit.medium.lacking(rays)])
-    whole, rough, coarse, pieces = (lit.nodes.in_band(each) for each in found)
-    return (jnp.abs(coarse) + pieces + jnp.abs(whole - rough)) / jnp.where(whole > 0, whole, 1)
+    whole, rough, coarse, beams, pieces = (lit.nodes.in_band(each) for each in found)
+    lacks = jnp.abs(coarse) + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
+    return lacks / jnp.where(whole > 0, whole, 1)

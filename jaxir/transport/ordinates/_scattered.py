@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -46,8 +46,8 @@ from jaxir.transport.ordinates._krylov import solved
 from jaxir.transport.ordinates._lattice import FINER, Between, Lattice, about, beside, lattice_of, places, refined
 from jaxir.transport.ordinates._medium import Beam, Doubt, Part, Scattered
 
-PANELS = 6  # of a ray between the lattice's points
-PROBED = 24  # points of it at which it is seen where they shall lie
+PANELS = 6  # of a ray between the lattice's points, where the medium is smooth; else twice as many
+PROBED = 4  # points of each at which it is seen where they shall lie
 MOST = 2**30  # numbers that transport may keep
 # Residual at which to end, as a share of the first term, of each node. Light out of the far end of a deep plume whose
 # particles absorb next to nothing errs a thousand times as much.
@@ -109,25 +109,23 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     def split(table: Array) -> list[Array]:
         return jnp.split(table, np.cumsum(sizes)[:-1].tolist())
 
-    def transported(table: Array, rest: list[Array], passed: list[Array], ways: list) -> Array:
-        """K of coefficients [point, harmonic, node] of some nodes.
+    def transported(light: list[Array], rest: list[Array], passed: list[Array], readers: Sequence[Callable]) -> Array:
+        """K of the light of some nodes [point, harmonic, node].
 
         Args:
-            table: the coefficients.
+            light: its coefficients, of each part [some, harmonic, node].
             rest: moments of the harmonics that are kept, of each part [harmonic, node].
             passed: what `_ahead` says of each part [direction, point, step, node].
-            ways: to the points that are read, of each part.
+            readers: how it comes to the points that are read, of each part.
         """
-        into = [
-            jnp.einsum("dh,phn->dpn", lobes, part * own[None]) for part, own in zip(split(table), rest, strict=True)
-        ]
-        once = jnp.ones((point.shape[0], 1), table.dtype)
+        into = [jnp.einsum("dh,phn->dpn", lobes, part * own[None]) for part, own in zip(light, rest, strict=True)]
+        once = jnp.ones((point.shape[0], 1), point.dtype)
 
         def one(_: None, own: tuple) -> tuple[None, Array]:
-            came = jnp.zeros_like(table[:, 0])
-            for (place, share), passed, lattice, part, way in zip(*own[:2], lattices, own[2], ways, strict=True):
+            came = jnp.zeros((point.shape[0], rest[0].shape[-1]), point.dtype)
+            for (place, share), passed, part, read in zip(*own, readers, strict=True):
                 place, share = (x.reshape(*passed.shape[:2], *x.shape[1:]) for x in (place, share))
-                came = came + collected(place, share, passed, once, refined(lattice, part, way)[:, None])
+                came = came + collected(place, share, passed, once, read(part)[:, None])
             return None, came
 
         return jnp.einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (where, passed, into))[1])
@@ -136,11 +134,8 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
         tuple(_beam(lit, medium, given, part, lattice, source) for source in lit.scene.delta_sources)
         for part, lattice in zip(parts, lattices, strict=True)
     ]
-    straight = jnp.zeros_like(unscattered)
-    if lit.scene.delta_sources:
-        straight = jnp.concatenate([_of_beams(*each, order) for each in zip(parts, lattices, beams, strict=True)])
-    begin = unscattered + straight
-    scale = jnp.max(jnp.abs(begin), axis=(0, 1))
+    straight = [_of_beams(*each, order) for each in zip(parts, lattices, beams, strict=True) if each[-1]]
+    scale = functools.reduce(jnp.maximum, [jnp.max(jnp.abs(light), axis=(0, 1)) for light in (unscattered, *straight)])
     scale = lax.stop_gradient(jnp.where(scale > 0, scale, 1))[None, None]
 
     degree = degrees(order)
@@ -149,29 +144,38 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
     errs = ordinates.orders > 0  # and that is sampled, in the medium as it is
     count = 1 if errs else 3
     kept, first = as_float(np.stack([every, fewer, every][:count])), as_float(np.array([1, 0, 0][:count]))
-    close = as_float(np.array([CLOSE[str(begin.dtype)], CLOSE_OF_OTHERS, CLOSE_OF_OTHERS][:count]))
+    close = as_float(np.array([CLOSE[str(point.dtype)], CLOSE_OF_OTHERS, CLOSE_OF_OTHERS][:count]))
     ways = [[as_float(np.stack([c, c, p][:count])) for c, p in zip(x.cubics, x.plain, strict=True)] for x in lattices]
 
-    def of_nodes(own: tuple[Array, list[Array], list[Array]]) -> tuple[Array, Array]:
+    def of_nodes(own: tuple[Array, list[Array], list[Array], list[Array]]) -> tuple[Array, Array]:
         """Solutions of some nodes, with fewer harmonics, and read as by `Lattice.plain`; and what they lack.
 
         Where what the lattice errs is sampled, the first alone.
         """
-        begin, rest, passed = own
+        begin, straight, rest, passed = own
 
         def one(near: Array, own: tuple[Array, Array, list, Array]) -> tuple[Array, tuple[Array, Array]]:
             kept, close, way, first = own
             some = [part * kept[:, None] for part in rest]
-            found = solved(lambda table: transported(table, some, passed, way), begin, close, MOST_STEPS, near)
+            readers = [functools.partial(refined, x, ways=own) for x, own in zip(lattices, way, strict=True)]
+            once = transported(straight, some, passed, [lambda light: light] * len(parts)) if straight else 0
+            found = solved(
+                lambda table: transported(split(table), some, passed, readers), begin + once, close, MOST_STEPS, near
+            )
             return near + first * found[0], found  # the others begin at the first
 
         return lax.scan(one, jnp.zeros_like(begin), (kept, close, ways, first))[1]
 
-    asked = grouped(begin / scale), [grouped(own.rest) for own in moments], [jnp.moveaxis(x, 1, 0) for x in passed]
+    asked = (
+        grouped(unscattered / scale),
+        [grouped(light / scale) for light in straight],
+        [grouped(own.rest) for own in moments],
+        [jnp.moveaxis(x, 1, 0) for x in passed],
+    )
     solutions, rests = lax.map(of_nodes, asked)
     solutions = jnp.moveaxis(solutions, 0, -2)
     solutions = solutions.reshape(*solutions.shape[:-2], -1)[..., :nodes]
-    each, *others = (split(x * scale - straight) for x in solutions)  # beams are scattered with the whole lobe
+    each, *others = (split(x * scale) for x in solutions)  # without beams, which are scattered with the whole lobe
     rough, other = others or (each, each)
 
     def of_few(own: _Moments, table: Array) -> Array:
@@ -185,7 +189,7 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
             field=refined(lattice, table) if errs else None,
             doubt=None
             if errs
-            else lax.stop_gradient(_doubt(lattice, of_few(own, table), of_few(own, few), of_few(own, plain))),
+            else lax.stop_gradient(_doubt(part, lattice, *(of_few(own, found) for found in (table, few, plain)))),
             glow=lax.stop_gradient(_glow(part, lattice, table)),
             halo=_halo(part, shining, own.forward, order),
             beams=shining,
@@ -205,7 +209,7 @@ def _require_that_it_fits(medium: AbstractMedium, ordinates: DiscreteOrdinates, 
     counts = [part.lattice(ordinates.along, ordinates.across) for part in parts]
     points, splines = sum(map(math.prod, counts)), sum(FINER * count**2 for own in counts for count in own)
     directions = (2 * ordinates.order + 2) * (2 * ordinates.order + 3)  # of the rule for twice the degree
-    need = directions * points * 2 * PANELS * nodes * len(parts) ** 2 + splines
+    need = directions * points * 2 * sum(map(_panels, parts)) * nodes * len(parts) + splines
     if need > MOST:
         raise ValueError(
             f"DiscreteOrdinates: got {need:.2g} numbers to keep, expected at most {MOST:.2g}; take fewer points "
@@ -213,9 +217,10 @@ def _require_that_it_fits(medium: AbstractMedium, ordinates: DiscreteOrdinates, 
         )
 
 
-def _doubt(lattice: Lattice, table: Array, few: Array, plain: Array) -> Doubt:
+def _doubt(medium: AbstractScatterer, lattice: Lattice, table: Array, few: Array, plain: Array) -> Doubt:
     """Of moments [point, few, node] that were solved for, also with fewer harmonics and as read by `Lattice.plain`."""
-    return Doubt(refined(lattice, few), refined(lattice, table) - refined(lattice, plain, lattice.plain))
+    change = refined(lattice, table) - refined(lattice, plain, lattice.plain)
+    return Doubt(refined(lattice, few), change / 2 if medium.smooth else change)
 
 
 def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
@@ -269,6 +274,11 @@ def _length(lit: Lit, rays: Rays) -> Float[Array, " ray"]:
     return closest_hit(lit.scene.skin.mesh, lax.stop_gradient(rays)).t
 
 
+def _panels(part: AbstractScatterer) -> int:
+    """Panels of a ray through a part: where they do not end where the medium jumps, shorter ones err less."""
+    return PANELS if part.smooth else 2 * PANELS
+
+
 def _ahead(
     medium: AbstractMedium, parts: list[tuple[AbstractScatterer, Lattice]], rays: Rays, length: Array
 ) -> list[tuple[Between, Array]]:
@@ -278,19 +288,21 @@ def _ahead(
     is seen from there ends.
     """
 
-    def edges(cuts: Array) -> Array:
-        near = as_float((np.arange(PROBED + 1) / PROBED) ** 2)
+    def edges(part: AbstractScatterer) -> Array:
+        cuts, panels = part.cuts(rays, length), _panels(part)
+        even = as_float(np.arange(PROBED * panels + 1) / (PROBED * panels))
+        near = even**2
         t = cuts[:, :1] + (cuts[:, -1:] - cuts[:, :1]) * near[None]
         middle = rays.at((t[:, 1:] + t[:, :-1]) / 2).reshape(-1, 3)
-        extinction = medium.coefficients(middle)[0].reshape(rays.count, PROBED, -1)
+        extinction = medium.coefficients(middle)[0].reshape(rays.count, PROBED * panels, -1)
         passed = jnp.exp(-jnp.cumsum(extinction * jnp.diff(t)[..., None], axis=1))
         hidden = jnp.concatenate([jnp.zeros_like(t[:, :1]), jnp.mean(1 - passed, axis=2)], axis=1)
         most = hidden[:, -1:]
-        share = (hidden / jnp.where(most > 0, most, 1) + as_float(np.arange(PROBED + 1) / PROBED)[None]) / 2
-        wanted = share[:, -1:] * as_float(np.arange(PANELS + 1) / PANELS)[None]
+        share = (hidden / jnp.where(most > 0, most, 1) + even[None]) / 2
+        wanted = share[:, -1:] * as_float(np.arange(panels + 1) / panels)[None]
         return jax.vmap(jnp.interp)(wanted, share, t)
 
-    t, half = panel_points(merged_cuts([edges(part.cuts(rays, length)) for part, _ in parts]))
+    t, half = panel_points(merged_cuts([edges(part) for part, _ in parts]))
     t, half = jnp.moveaxis(t, 2, 0), half.T[:, :, None]
     place = rays.at(t).reshape(-1, 3)
     depth = medium.coefficients(place)[0].reshape(*t.shape, -1) * half[:, :, None]
@@ -341,8 +353,8 @@ def _halo(part: AbstractScatterer, beams: tuple[Beam, ...], forward: Float[Array
 
 
 def _of_beams(part: AbstractScatterer, lattice: Lattice, beams: tuple[Beam, ...], order: int) -> Array:
-    """Coefficients of the light that comes straight from sources without extent [point, harmonic, node]."""
-    place = as_float(places(lattice.solved))
+    """Coefficients of the light that comes straight from sources without extent [read, harmonic, node]."""
+    place = as_float(places(lattice.read))
     point, between = part.from_cube(place), about(lattice.read, place)
     each = [beam.arriving(between, point) for beam in beams]
     return functools.reduce(jnp.add, [harmonics(-omega, order)[:, :, None] * light[:, None] for light, omega in each])
