@@ -6,17 +6,18 @@ In a plume with scattering coefficient s and phase function p light of radiance 
 
 L_lm being the coefficients of L in spherical harmonics and chi_l the Legendre moments of p. They solve
 
-    L_lm = L0_lm + K L_lm,
+    L_lm = L0_lm + K (B_lm + L_lm),
 
-L0 being what arrives at x without having been scattered in the plume, sources without extent too, and K the transport
-of J along rays from the lattice's points, in the directions of a rule over the sphere. A Krylov method solves it,
-however often light is scattered. L is then known along every other ray by one integral, `Scattered.radiance`.
+L0 being what arrives at x without having been scattered in the plume, B what comes straight from sources without extent
+and K the transport of J along rays from the lattice's points, in the directions of a rule over the sphere. A Krylov
+method solves it, however often light is scattered. L is then known along every other ray by one integral,
+`Scattered.radiance`.
 
 Of a forward lobe the share f = chi_(order + 1) is taken as not scattered (Wiscombe, "The delta-M method", J. Atmos.
 Sci. 34, 1977), and light of sources without extent is scattered once with the whole phase function (Nakajima and
 Tanaka, JQSRT 40, 1988), as spread as it is by what was scattered forward before, see `_halo`. Between the lattice's
-points L_lm is interpolated by cubics, and the optical depth towards sources linearly on a lattice `FINER` times as
-fine. Rays to the lattice's points read it twice in each of `PANELS`.
+points L_lm is interpolated by cubics, and B, with its shadows, and the optical depth towards sources linearly on a
+lattice `FINER` times as fine. Rays to the lattice's points read it twice in each of `PANELS`.
 """
 
 from __future__ import annotations
@@ -157,7 +158,9 @@ def scattered(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, R
         def one(near: Array, own: tuple[Array, Array, list, Array]) -> tuple[Array, tuple[Array, Array]]:
             kept, close, way, first = own
             some = [part * kept[:, None] for part in rest]
-            readers = [functools.partial(refined, x, ways=own) for x, own in zip(lattices, way, strict=True)]
+            readers = [
+                functools.partial(refined, lattice, ways=each) for lattice, each in zip(lattices, way, strict=True)
+            ]
             once = transported(straight, some, passed, [lambda light: light] * len(parts)) if straight else 0
             found = solved(
                 lambda table: transported(split(table), some, passed, readers), begin + once, close, MOST_STEPS, near
