@@ -64,7 +64,7 @@ def nu3_lines(temperature: float, faintest: float = 1e-8) -> Lines:
     return Lines(nu[seen], strength[seen], energy[seen], quanta[:, seen].astype(int))
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=4)
 def _transitions(hottest: float, faintest: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Wavenumber [cm-1], m nu (2J + 1) H [cm-1], lower energy [cm-1] and quanta of lines seen up to `hottest` [K]."""
     found = []
