@@ -161,13 +161,14 @@ def film_command(arguments: argparse.Namespace) -> None:
     shown = {axis: labels(values, 6) for axis, values in read.states.over.items()}
     for quantity, label in quantities.items():
         films: dict[str, dict[str, Image]] = {}
+        kinds: dict[str, tuple[tuple[str, ...], tuple[int, int]]] = {}
         for state in read.states.every:
             own = naming(read, partial(read.at, **state))
             title = ", ".join(f"{axis} {shown[axis][value]}" for axis, value in state.items())
             for name, camera in own.cameras.items():
-                for first in list(films.get(name, {}).values())[:1]:
-                    if (first.bands, first.camera.shape) != (own.names, camera.shape):
-                        raise ValueError(f"{read.file}: over: got other bands or shape at {title}, expected equal ones")
+                kind = own.names, camera.shape
+                if kinds.setdefault(name, kind) != kind:
+                    raise ValueError(f"{read.file}: over: got other bands or shape at {title}, expected equal ones")
                 asked = {"method": own.method, **own.render}
                 image = naming(read, partial(render, scene_of(own, quantity), camera, own.bands, **asked))
                 films.setdefault(name, {})[title] = image

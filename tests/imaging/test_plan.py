@@ -184,10 +184,10 @@ def test_particles_get_orders_where_those_leave_out_little_and_else_a_lattice(mo
     camera = jaxir.orthographic_camera(30.0, 20.0, 0.06, (16, 16))
     thin = jaxir.plan(cloud(0.02), camera, jaxir.MWIR, 0.05)
     assert thin.method.orders == 10 and thin.method.scattering is None and thin.truncation < 1e-3
-    image = jaxir.render(cloud(6.0), camera, jaxir.MWIR, rtol=0.05)
+    image = jaxir.render(cloud(6.0), camera, jaxir.MWIR, rtol=0.07)
     thick = image.asked.method
     assert thick.scattering == jaxir.DiscreteOrdinates(7, 7, 1)
-    again = jaxir.plan(cloud(6.0), camera, jaxir.MWIR, 0.05)
+    again = jaxir.plan(cloud(6.0), camera, jaxir.MWIR, 0.07)
     assert again.method == thick
     np.testing.assert_allclose(image.truncation[0], again.truncation, rtol=1e-4)
     strict = jaxir.plan(cloud(6.0), camera, jaxir.MWIR, 0.01)  # less than this lattice errs
