@@ -6,8 +6,8 @@ the laws of `jaxir.imaging._placement` it says how many rays each pixel gets.
 
 Every pixel gets two rays, or strata of its own where n_p is more. What a pixel varies is told by its own pilot and by
 those of the nine around it (`law_of`): all rays of a pilot may lie on one side of an edge, in pixel after pixel where
-the edge lies along them. From 8 rays to hundreds such laws
-err by factors, so where many are needed an image of few tells first (`SCOUT`), which is not part of the answer either.
+the edge lies along them. From 8 rays to hundreds such laws err by factors, so where many are needed an image of few
+tells first (`SCOUT`), which is not part of the answer either.
 """
 
 from __future__ import annotations
