@@ -6,6 +6,7 @@ from jaxir.geometry._box import pdf_from_volume as pdf_from_volume
 from jaxir.geometry._box import sample_box as sample_box
 from jaxir.geometry._camera import TILE as TILE
 from jaxir.geometry._camera import Camera as Camera
+from jaxir.geometry._camera import Eye as Eye
 from jaxir.geometry._camera import Grading as Grading
 from jaxir.geometry._camera import camera_around as camera_around
 from jaxir.geometry._camera import fitted_camera as fitted_camera

@@ -28,7 +28,7 @@ from jaxir._arrays import (
     require_precision,
     require_shape,
 )
-from jaxir._math import dot
+from jaxir._math import dot, safe_sqrt
 from jaxir._plausible import ELEVATION, usual
 from jaxir.geometry._ray import Bundle
 
@@ -42,6 +42,25 @@ class Grading(NamedTuple):
 
     columns: Float[Array, " column_edge"]
     rows: Float[Array, " row_edge"]
+
+
+class Eye(NamedTuple):
+    """Where a camera's rays meet: at a range along an axis from a target, or at infinity.
+
+    Attributes:
+        target: [3] [m].
+        axis: from the target to the eye, unit length [3].
+        inverse_range: 1 / range [m-1]; 0 at infinity.
+    """
+
+    target: Float[Array, " 3"]
+    axis: Float[Array, " 3"]
+    inverse_range: Float[Array, ""]
+
+    def toward(self, point: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
+        """Unit vectors from points to the eye. Differentiable."""
+        away = self.axis[None] - (point - self.target[None]) * self.inverse_range
+        return away / safe_sqrt(dot(away, away))[:, None]
 
 
 class Camera(eqx.Module):
@@ -62,6 +81,11 @@ class Camera(eqx.Module):
     pixel: Float[Array, " 2"]
     shape: tuple[int, int] = eqx.field(static=True)
     grading: Grading | None = None
+
+    @property
+    def eye(self) -> Eye:
+        """Where all rays meet."""
+        return Eye(self.target, self.frame[2], self.inverse_range)
 
     @property
     def tiles(self) -> tuple[int, int]:

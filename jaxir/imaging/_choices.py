@@ -10,11 +10,11 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from jaxir._arrays import enforce, require
+from jaxir._arrays import require
 from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Sobol
 from jaxir.imaging._adaptive import LOOKED, Look, looked
-from jaxir.imaging._chunks import Pass
+from jaxir.imaging._chunks import Pass, scattered_for
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.imaging._tolerance import Goal
 from jaxir.scene import Scene
@@ -26,8 +26,6 @@ from jaxir.transport import (
     faces_in_sight,
     lattice_error,
     patch_that_shines,
-    solution_checks,
-    with_scattered,
 )
 
 FEW = 2  # rays per pixel of the first pilots
@@ -148,12 +146,11 @@ def _on_lattice(first: Pass, goal: Goal, ordinates: DiscreteOrdinates) -> Trial 
     """What a lattice comes to; None where it cannot hold the light."""
     method, began = dataclasses.replace(first.method, orders=0, scattering=ordinates), time.perf_counter()
     try:
-        lit = with_scattered(first.lit, method)
-        lit = jax.block_until_ready(enforce(lit, solution_checks(lit)))
+        taken = jax.block_until_ready(scattered_for(first, method.resolved(first.lit.scene)))
     except ValueError:
         return None
     spent = time.perf_counter() - began
-    return _trial(first._replace(method=method.resolved(lit.scene), lit=lit), goal, spent)
+    return _trial(taken, goal, spent)
 
 
 class Choice(NamedTuple):

@@ -22,6 +22,7 @@ from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
 from jaxir.transport import (
     Components,
     Method,
+    aimed,
     components_of,
     empty_components,
     evaluate_components,
@@ -204,7 +205,14 @@ def first_pass(
     lit = enforce(lit, [eye_outside(reach), *solution_checks(lit)])
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
     strata = division(samples, not is_traced((lit, camera, key)))
-    return Pass(lit, camera, key, as_number(0), strata, method, PARTS, split)
+    return Pass(aimed(lit, camera), camera, key, as_number(0), strata, method, PARTS, split)
+
+
+def scattered_for(taken: Pass, method: Method) -> Pass:
+    """A pass by a method, with what that finds on a lattice, ready for its camera."""
+    lit = with_scattered(taken.lit, method)
+    lit = enforce(lit, solution_checks(lit))
+    return taken._replace(method=method, lit=aimed(lit, taken.camera))
 
 
 @program

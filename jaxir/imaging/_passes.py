@@ -18,7 +18,7 @@ from jaxir._programs import of_items
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import PILOT, adapted, even_image, looked
 from jaxir.imaging._choices import FEW, few_rays, rays_to_see
-from jaxir.imaging._chunks import PARTS, Pass, estimate_chunk, first_pass
+from jaxir.imaging._chunks import PARTS, Pass, estimate_chunk, first_pass, scattered_for
 from jaxir.imaging._devices import shared_by
 from jaxir.imaging._image import Image, Outcome, few_tell, joined
 from jaxir.imaging._left_out import Asked
@@ -27,7 +27,7 @@ from jaxir.imaging._planning import plan_pass
 from jaxir.imaging._tolerance import FIRST, Goal, goal_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
-from jaxir.transport import Method, with_scattered
+from jaxir.transport import Method
 
 
 def render(
@@ -129,7 +129,7 @@ def render(
     few = few_rays(wanted, max_samples)
     if planned:
         found, look = plan_pass(first._replace(components=None).of(few), goal, method is not None)
-        first = first._replace(method=found.method, lit=with_scattered(first.lit, found.method))
+        first = scattered_for(first, found.method)
         samples = found.samples
     first = first._replace(parts=parts)
     if pixel_rtol is None and look is None:

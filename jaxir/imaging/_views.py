@@ -28,6 +28,7 @@ from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
 from jaxir.transport import (
     Components,
     Method,
+    aimed,
     components_of,
     graded_cameras,
     solution_checks,
@@ -314,7 +315,7 @@ def view_intensity(views: Views, item: Int[Array, ""]) -> tuple[Array, ...]:
     camera = jax.tree.map(lambda leaf: leaf[index], views.cameras)
     key = jax.random.fold_in(views.key, index)
     own = key, number.astype(jnp.uint32), views.strata, views.method
-    taken = Pass(views.lit, camera, *own, components=views.components)
+    taken = Pass(aimed(views.lit, camera), camera, *own, components=views.components)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
     parts = () if views.components is None else (image.component_intensity(), image.component_error())
     return image.radiant_intensity(), image.intensity_error(), image.truncation, *parts

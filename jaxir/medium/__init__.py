@@ -1,5 +1,6 @@
 """How radiance passes through matter on the spectral nodes: cells, jets, and sums of them."""
 
+from jaxir.medium._active import for_active as for_active
 from jaxir.medium._cells import CellMedium as CellMedium
 from jaxir.medium._cells import cell_cuts as cell_cuts
 from jaxir.medium._crossing_sum import crossing_sum as crossing_sum

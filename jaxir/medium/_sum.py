@@ -104,10 +104,13 @@ def radiance_between(
     """
 
     def along(some: tuple[Array, Rays, Array]) -> Array:
+        twice = jax.tree.map(lambda x: jnp.concatenate([x, x]), some[1])
+
         def panel(radiance: Array, points: tuple[Array, Array]) -> tuple[Array, None]:
-            (near_t, far_t), half = points
-            near, far = ([x * half[:, None] for x in coefficients(some[1], t)] for t in (near_t, far_t))
-            return front_of_panel(radiance, near[0], far[0], near[1], far[1]), None
+            t, half = points  # both points together are half the operations
+            found = coefficients(twice, t.reshape(-1))
+            depth, sent = (value.reshape(2, *radiance.shape) * half[None, :, None] for value in found)
+            return front_of_panel(radiance, *depth, *sent), None
 
         return lax.scan(panel, some[2], panel_points(some[0]), reverse=True)[0]
 

@@ -13,6 +13,7 @@ from jaxir.transport._estimators import LineIntegration as LineIntegration
 from jaxir.transport._estimators import PointIntegration as PointIntegration
 from jaxir.transport._estimators import estimate as estimate
 from jaxir.transport._evaluate import Orders as Orders
+from jaxir.transport._evaluate import aimed as aimed
 from jaxir.transport._evaluate import bounced as bounced
 from jaxir.transport._evaluate import evaluate as evaluate
 from jaxir.transport._evaluate import evaluate_orders as evaluate_orders

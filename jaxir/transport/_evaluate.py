@@ -28,7 +28,7 @@ from jaxir._arrays import fingerprint, is_traced
 from jaxir._fields import by_band, over_nodes
 from jaxir._math import dot, in_kernels
 from jaxir._programs import program
-from jaxir.geometry import Rays
+from jaxir.geometry import Camera, Rays
 from jaxir.geometry.search import face_normal
 from jaxir.medium import AbstractMedium
 from jaxir.scene import Lit
@@ -95,6 +95,13 @@ def with_scattered(lit: Lit, method: Method) -> Lit:
     once = dataclasses.replace(method, bounces=0, scattering=ordinates, skin_light=None, plume_light=None)
     once = once.resolved(scene)
     return eqx.tree_at(lambda lit: lit.medium, lit, _remembered((bare, once)))
+
+
+def aimed(lit: Lit, camera: Camera) -> Lit:
+    """A scene with its scattered light, see `with_scattered`, ready for many rays of a camera."""
+    if not isinstance(lit.medium, Scattered):
+        return lit
+    return eqx.tree_at(lambda lit: lit.medium, lit, lit.medium.aimed_at(camera.eye), is_leaf=lambda x: x is lit.medium)
 
 
 def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:

@@ -13,7 +13,7 @@ from scipy.special import eval_legendre
 
 import jaxir
 from jaxir import DiscreteOrdinates, Method
-from jaxir.geometry import degrees, harmonics, sphere_rule
+from jaxir.geometry import Eye, degrees, harmonics, sphere_rule
 from jaxir.optics.spectrum import gray_nodes
 from jaxir.transport import _evaluate, with_scattered
 from jaxir.transport.ordinates._medium import chosen_rays
@@ -193,7 +193,8 @@ def test_what_a_lattice_errs_in_cells_in_the_sun_is_told():
 
 @eqx.filter_jit
 def lacking(lit, rays):
-    return lit.medium.lacking(rays)
+    eye = Eye(jnp.zeros(3), -rays.direction[0], jnp.zeros(()))  # which they share
+    return lit.medium.lacking(rays, eye)
 
 
 def test_an_image_tells_what_the_last_order_changed():
@@ -316,7 +317,7 @@ def test_images_have_no_noise_of_it_and_tell_what_is_left():
 def plume_intensity(lit, camera, start):
     """Of the rays on which the lattice's error is found."""
     rays, weight = chosen_rays(lit.medium.parts[0], camera, start)
-    return weight @ lit.nodes.in_band(lit.medium.lacking(rays)[0])
+    return weight @ lit.nodes.in_band(lit.medium.lacking(rays, camera.eye)[0])
 
 
 @optimised

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,137 +15,29 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, on_host
 from jaxir._math import dot
-from jaxir.geometry import Camera, Rays, harmonics
-from jaxir.medium import AbstractMedium, AbstractScatterer, Capsules, radiance_between
+from jaxir._programs import program
+from jaxir.geometry import Camera, Eye, Rays, harmonics
+from jaxir.medium import (
+    AbstractMedium,
+    AbstractScatterer,
+    Capsules,
+    for_active,
+    panel_points,
+    panel_weights,
+    radiance_between,
+)
 from jaxir.scene import Lit
-from jaxir.scene.light import AbstractDeltaSource
 from jaxir.transport.ordinates._collected import collected
-from jaxir.transport.ordinates._halo import Halo
-from jaxir.transport.ordinates._lattice import Between, about
+from jaxir.transport.ordinates._lattice import about
+from jaxir.transport.ordinates._part import Aimed, Part, Told
 
 SOLVED = 2e-5  # residual of a solution at most
 THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
-SPREAD = 0.05  # of what halos change, which is right where angles are small
 MORE = 8  # cuts of a ray where light that reaches it comes from
 SIDE = 64  # of the grid of rays of which those are chosen on which an image's error is found
 CHOSEN = 256  # of them
-POINTS = 32  # of each at which it is seen how bright it is
-
-
-class Beam(eqx.Module):
-    """A source without extent as seen from the points that are read.
-
-    Attributes:
-        source: the source.
-        depth: optical depth towards it [point, node].
-        forward: depth of what is scattered forward, which is not in `depth` [point, node].
-        aside: what passes more by the depth at the points alone, where `depth` is the mean about them [point, node].
-        seen: whether nothing hides it.
-    """
-
-    source: AbstractDeltaSource
-    depth: Float[Array, "point node"]
-    forward: Float[Array, "point node"]
-    aside: Float[Array, "point node"]
-    seen: Float[Array, "point 1"]
-
-    def arriving(self, between: Between, point: Float[Array, "ray 3"]) -> tuple[Array, Array]:
-        """Irradiance [ray, node] [W m-2] and the direction towards the source [ray, 3]."""
-        omega, _ = jax.vmap(self.source.toward)(point)
-        passed = jnp.exp(-between.read(self.depth)) * between.read(self.seen)
-        return jax.vmap(self.source.beam)(point) * passed, omega
-
-    def doubtful(self, between: Between, point: Float[Array, "ray 3"]) -> Array:
-        """How much irradiance may err as it is read between points [ray, node] [W m-2]: half of what `aside` makes."""
-        return jax.vmap(self.source.beam)(point) * between.read(self.aside) * between.read(self.seen) / 2
-
-
-class Doubt(NamedTuple):
-    """What tells how much moments may err.
-
-    Attributes:
-        rough: what they were if there were fewer harmonics [read, few, node].
-        reading: how much of what changes as the lattice is read by `Lattice.plain` they may err [read, few, node]:
-            half of it, all where the medium jumps.
-    """
-
-    rough: Float[Array, "read few node"]
-    reading: Float[Array, "read few node"]
-
-
-class Part(eqx.Module):
-    """One of `AbstractMedium.parts_with_particles` and the light in it.
-
-    Attributes:
-        medium: without its forward lobe; with it where what the lattice errs is sampled.
-        kept: share of its scattering that is in it [node].
-        moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
-        field: L_lm [read, harmonic, node]; None where what the lattice errs is not sampled.
-        doubt: of the moments; None where what the lattice errs is sampled.
-        glow: emission and scattering in the mean over directions, as shares of the largest of each node [read, 1, 1].
-        halo: of what is scattered forward; None without beams.
-        beams: of all sources without extent.
-    """
-
-    medium: AbstractScatterer
-    kept: Float[Array, " node"]
-    moments: Float[Array, "read harmonic node"]
-    field: Float[Array, "read harmonic node"] | None
-    doubt: Doubt | None
-    glow: Float[Array, "read 1 1"]
-    halo: Halo | None
-    beams: tuple[Beam, ...]
-    counts: tuple[int, int, int] = eqx.field(static=True)
-
-    def read(self, point: Array, toward: Float[Array, "ray harmonic"], table: Array) -> tuple[Array, Between, Array]:
-        """Coefficients at points, with `toward` as harmonics and scattered [ray, node]; where that is; scattering."""
-        between, scattering = about(self.counts, self.medium.to_cube(point)), self.medium.scattering_at(point)
-        near = jnp.where(jnp.any(scattering > 0, axis=1)[:, None, None], between.share, 0)
-        return collected(between.point[:, None], near[:, None], scattering[:, None], toward, table), between, scattering
-
-    def brightness(self, rays: Rays) -> Float[Array, " ray"]:
-        """How bright rays are in the mean over the nodes if nothing is absorbed on their way."""
-        cuts = self.medium.cuts(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
-        length = (cuts[:, -1] - cuts[:, 0]) / POINTS
-        t = cuts[:, :1] + length[:, None] * as_float(np.arange(POINTS) + 0.5)[None]
-        between = about(self.counts, self.medium.to_cube(rays.at(t).reshape(-1, 3)))
-        near, share = (x.reshape(*t.shape, *x.shape[1:]) for x in between)
-        each = jnp.broadcast_to(length[:, None, None], (*t.shape, 1))
-        return collected(near, share, each, jnp.ones_like(length)[:, None], self.glow)[:, 0]
-
-    def source(
-        self, point: Array, direction: Array, toward: Array, tables: Sequence[Array]
-    ) -> tuple[list[Array], Array]:
-        """J of rays in `direction` at points [ray, node] [W m-3 sr-1] by tables of moments, and what beams may err.
-
-        Args:
-            point: points [ray, 3] [m].
-            direction: of the rays [ray, 3].
-            toward: harmonics of where light goes [ray, harmonic].
-            tables: moments [read, some, node], of the first of the harmonics.
-        """
-        read = [self.read(point, toward[:, : table.shape[1]], table) for table in tables]
-        straight, doubt = self.of_beams(point, direction, *read[0][1:])
-        return [found + straight for found, *_ in read], doubt
-
-    def of_beams(self, point: Array, direction: Array, between: Between, scattering: Array) -> tuple[Array, Array]:
-        """What of J comes straight from sources without extent [ray, node], and what it may err.
-
-        That is `SPREAD` of what `halo` changes and `Beam.doubtful`. See `read` for the last two arguments.
-        """
-        phase = self.medium.lobe
-        assert phase is not None
-        straight, doubt = jnp.zeros_like(scattering), jnp.zeros_like(scattering)
-        for beam in self.beams:
-            assert self.halo is not None
-            irradiance, omega = beam.arriving(between, point)
-            cosine, scatters = dot(omega, direction), scattering / self.kept[None]
-            lobe, change = jax.vmap(phase.eval)(cosine), self.halo.change(cosine, between.read(beam.forward))
-            straight = straight + scatters * irradiance * (lobe + change)
-            doubt = doubt + scatters * (SPREAD * irradiance * change + beam.doubtful(between, point) * lobe)
-        return straight, doubt
 
 
 class Scattered(AbstractMedium):
@@ -171,7 +64,14 @@ class Scattered(AbstractMedium):
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
     ) -> Float[Array, "ray node"]:
         """See `AbstractMedium.radiance`, of emission and scattered light."""
-        return self._between(self._pieces(rays, t_max), rays, behind)
+        cuts = self._pieces(rays, t_max)
+        served = [part.aimed and part.aimed.serves(rays, cuts[:, 0] < cuts[:, -1]) for part in self.parts]
+        return self._between(cuts, rays, behind, served)
+
+    def aimed_at(self, eye: Eye) -> Scattered:
+        """The same, ready for many rays that meet in an eye."""
+        each = zip(self.parts, _sent_to(self.parts, eye), strict=True)
+        return dataclasses.replace(self, parts=tuple(dataclasses.replace(part, aimed=aimed) for part, aimed in each))
 
     def _pieces(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
         """`cuts` and `MORE` between them, from which on equal shares of a ray's light come.
@@ -192,14 +92,22 @@ class Scattered(AbstractMedium):
         depth, at = (-jnp.log(jnp.maximum(x, jnp.finfo(x.dtype).tiny)) for x in (left, wanted))
         return jnp.sort(jnp.concatenate([cuts, jax.vmap(jnp.interp)(at, depth, cuts)], axis=1), axis=1)
 
-    def _between(self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array) -> Float[Array, "ray node"]:
+    def _between(
+        self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array, served: Sequence[Array | None]
+    ) -> Float[Array, "ray node"]:
+        """Radiance between cuts [ray, node]; `served` tells of each part whether it is aimed at where rays meet."""
+
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
-            point, toward = rays.at(t), harmonics(-rays.direction, self.order)
+            point = rays.at(t)
             extinction, source = self.medium.coefficients(point)
-            for part in self.parts:
-                (found,), _ = part.source(point, rays.direction, toward, [part.moments])
-                source = source + found
+            for part, meet in zip(self.parts, served, strict=True):
+                source = source + of_part(part, meet, point, rays.direction)
             return extinction, source
+
+        def of_part(part: Part, meet: Array | None, point: Array, direction: Array) -> Array:
+            if meet is None:
+                return part.source(point, direction)
+            return lax.cond(meet, lambda: part.sent(point), lambda: part.source(point, direction))
 
         return radiance_between(cuts, rays, behind, coefficients)
 
@@ -208,38 +116,36 @@ class Scattered(AbstractMedium):
         """How many spectral nodes there are."""
         return self.parts[0].moments.shape[2]
 
-    def lacking(self, rays: Rays) -> tuple[Float[Array, "ray node"], ...]:
-        """Radiance of the plumes alone [ray, node], that of fewer harmonics, and what else it may lack, of each cause.
+    def lacking(self, rays: Rays, eye: Eye) -> tuple[Float[Array, "ray node"], ...]:
+        """What rays of an eye see of the plumes alone, also with fewer harmonics, and what else that may lack.
 
-        That is what may change with the way in which the lattice is read (`Doubt`) and what beams may err
-        (`Part.of_beams`), with their signs, and `SLOW` times what changes as every piece of a ray is halved. Where what
-        the lattice errs is sampled, that is all of it.
+        Radiances [ray, node]: as by `Told`, summed along the rays, and `SLOW` times what changes as every piece of a
+        ray is halved. Where what the lattice errs is sampled, that is all of it.
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
-        count = 1 if self.parts[0].doubt is None else 4
+        parts = (self if self.parts[0].aimed is not None else self.aimed_at(eye)).parts
+        sampled = parts[0].doubt is None
 
-        def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
-            """Of all that are looked for side by side."""
-            point, toward = rays.at(t), harmonics(-rays.direction, self.order)
+        def plainly(point: Array) -> tuple[Array, list[Array]]:
             extinction, emission = self.medium.coefficients(point)
-            whole, rough, coarse, beams = emission, emission, jnp.zeros_like(emission), jnp.zeros_like(emission)
-            for part in self.parts:
-                if part.doubt is None:
-                    (found,), _ = part.source(point, rays.direction, toward, [part.moments])
-                    whole = whole + found
-                    continue
-                (found, few), doubt = part.source(point, rays.direction, toward, [part.moments, part.doubt.rough])
-                reading = part.doubt.reading
-                whole, rough, beams = whole + found, rough + few, beams + doubt
-                coarse = coarse + part.read(point, toward[:, : reading.shape[1]], reading)[0]
-            return jnp.tile(extinction, count), jnp.concatenate([whole, rough, coarse, beams][:count], axis=1)
+            return extinction, [sum((part.sent(point) for part in parts), emission)]
+
+        def told(point: Array) -> tuple[Array, list[Array]]:
+            extinction, emission = self.medium.coefficients(point)
+            found = Told(emission, emission, jnp.zeros_like(emission), jnp.zeros_like(emission))
+            for part in parts:
+                found = Told(*map(jnp.add, found, part.told(point)))
+            return extinction, list(found)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
-        found = radiance_between(halved, rays, jnp.tile(dark, count), coefficients)
-        finer, rough, coarse, beams = jnp.split(found, 4, axis=1) if count == 4 else (found, found, dark, dark)
-        return finer, rough, coarse, beams, SLOW * jnp.abs(finer - self._between(cuts, rays, dark))
+        if sampled:
+            whole = summed(halved, rays, plainly)[0]
+            found = Told(whole, whole, dark, dark)
+        else:
+            found = Told(*summed(halved, rays, told))
+        return *found, SLOW * jnp.abs(found.whole - summed(cuts, rays, plainly)[0])
 
     def expected(
         self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"], omega: Float[Array, "ray 3"]
@@ -263,8 +169,7 @@ class Scattered(AbstractMedium):
         """The part of J of rays `along` that comes straight from sources without extent [ray, node]."""
         total = jnp.zeros((point.shape[0], self.nodes), point.dtype)
         for part in self.parts:
-            between, scattering = about(part.counts, part.medium.to_cube(point)), part.medium.scattering_at(point)
-            total = total + part.of_beams(point, along, between, scattering)[0]
+            total = total + part.of_beams(point, along)
         return total
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
@@ -304,6 +209,45 @@ class Scattered(AbstractMedium):
     def less_forward(self, shares: Any) -> AbstractMedium:
         """See `AbstractMedium.less_forward`."""
         return self
+
+
+def summed(
+    cuts: Float[Array, "ray cut"], rays: Rays, coefficients: Callable[[Array], tuple[Array, list[Array]]]
+) -> list[Array]:
+    """Radiances [ray, node] at the origins of rays of several sources in one medium, smooth between cuts.
+
+    Args:
+        cuts: as `AbstractMedium.cuts`.
+        rays: the rays.
+        coefficients: extinction [ray, node] [m-1] and sources, each [ray, node] [W m-3 sr-1], at points [ray, 3] [m].
+    """
+    shape, sources = jax.eval_shape(coefficients, rays.origin)
+    nodes = shape.shape[1]
+
+    def along(some: tuple[Array, Rays]) -> Array:
+        cuts, rays = some
+        twice = jax.tree.map(lambda x: jnp.concatenate([x, x]), rays)
+        dark = jnp.zeros((rays.count, nodes), cuts.dtype)
+
+        def panel(state: tuple[Array, list[Array]], points: tuple[Array, Array]) -> tuple[Any, None]:
+            (passed, totals), (t, half) = state, points
+            extinction, sources = coefficients(twice.at(t.reshape(-1)))
+            near, far = jnp.split(extinction * jnp.concatenate([half, half])[:, None], 2)
+            shares = [share * passed * half[:, None] for share in panel_weights(near, far)]
+            sent = [[share * own for share, own in zip(shares, jnp.split(x, 2), strict=True)] for x in sources]
+            totals = [total + a + b for total, (a, b) in zip(totals, sent, strict=True)]
+            return (passed * jnp.exp(-near - far), totals), None
+
+        found = lax.scan(panel, (jnp.ones_like(dark), [dark] * len(sources)), panel_points(cuts))[0][1]
+        return jnp.concatenate(found, axis=1)
+
+    found = for_active(along, cuts[:, 0] < cuts[:, -1], (cuts, rays), nodes * len(sources))
+    return jnp.split(found, len(sources), axis=1)
+
+
+@program
+def _sent_to(parts: tuple[Part, ...], eye: Eye) -> tuple[Aimed, ...]:
+    return tuple(part.sent_to(eye) for part in parts)
 
 
 def solution_checks(lit: Lit) -> list[Check]:
@@ -349,7 +293,7 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     found = jnp.zeros((5, lit.nodes.count), camera.pixel.dtype)
     for part in lit.medium.parts:
         rays, weight = chosen_rays(part, camera, lit.scene.start(camera))
-        found = found + jnp.stack([weight @ radiance for radiance in lit.medium.lacking(rays)])
+        found = found + jnp.stack([weight @ radiance for radiance in lit.medium.lacking(rays, camera.eye)])
     whole, rough, coarse, beams, pieces = (lit.nodes.in_band(each) for each in found)
     lacks = jnp.abs(coarse) + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
     return lacks / jnp.where(whole > 0, whole, 1)

@@ -45,7 +45,8 @@ from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._halo import DEGREE, Halo, halo
 from jaxir.transport.ordinates._krylov import solved
 from jaxir.transport.ordinates._lattice import FINER, Between, Lattice, about, beside, lattice_of, places, refined
-from jaxir.transport.ordinates._medium import Beam, Doubt, Part, Scattered
+from jaxir.transport.ordinates._medium import Scattered
+from jaxir.transport.ordinates._part import Beam, Doubt, Part
 
 PANELS = 6  # of a ray between the lattice's points, where the medium is smooth; else twice as many
 PROBED = 4  # points of each at which it is seen where they shall lie
@@ -357,7 +358,10 @@ def _halo(part: AbstractScatterer, beams: tuple[Beam, ...], forward: Float[Array
 
 def _of_beams(part: AbstractScatterer, lattice: Lattice, beams: tuple[Beam, ...], order: int) -> Array:
     """Coefficients of the light that comes straight from sources without extent [read, harmonic, node]."""
-    place = as_float(places(lattice.read))
-    point, between = part.from_cube(place), about(lattice.read, place)
-    each = [beam.arriving(between, point) for beam in beams]
-    return functools.reduce(jnp.add, [harmonics(-omega, order)[:, :, None] * light[:, None] for light, omega in each])
+    point = part.from_cube(as_float(places(lattice.read)))
+
+    def one(beam: Beam) -> Array:
+        light = jax.vmap(beam.source.beam)(point) * jnp.exp(-beam.depth) * beam.seen
+        return harmonics(-beam.toward(point), order)[:, :, None] * light[:, None]
+
+    return functools.reduce(jnp.add, map(one, beams))

@@ -1,0 +1,267 @@
+"""What one kind of particles scatters, once the light on its lattice is known: into any direction, or to one eye.
+
+    J = s (sum_lm chi_l L_lm Y_lm(w) + sum_b E_b (p(w_b . w) + what halos change))
+
+All rays of an eye have one direction w through a point. So what depends on directions, the first sum and lobes, can be
+found once for every point that is read and interpolated as moments are; rays of the eye then need neither harmonics nor
+lobes, which are most of the time. Depths towards sources are interpolated before they are exponents in any case.
+Directions turn between neighbours, by which a harmonic of degree l errs l (l + 1) / 16 of the squared angle: `NARROW`
+is the largest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from jaxir._arrays import as_float
+from jaxir._math import dot
+from jaxir.geometry import Eye, Rays, harmonics
+from jaxir.medium import AbstractScatterer, for_active
+from jaxir.scene.light import AbstractDeltaSource
+from jaxir.transport.ordinates._collected import collected
+from jaxir.transport.ordinates._halo import Halo
+from jaxir.transport.ordinates._lattice import Between, about, places
+
+NARROW = 5e-3  # between directions from neighbours to an eye [rad]; harmonics of degree 3 err 2e-5
+ALIKE = 1e-4  # between a ray's direction and that from its origin to an eye in which it is taken to meet others
+SPREAD = 0.05  # of what halos change, which is right where angles are small
+POINTS = 32  # of a ray at which it is seen how bright it is
+
+
+class Beam(eqx.Module):
+    """A source without extent as seen from the points that are read.
+
+    Attributes:
+        source: the source.
+        depth: optical depth towards it [point, node].
+        forward: depth of what is scattered forward, which is not in `depth` [point, node].
+        aside: what passes more by the depth at the points alone, where `depth` is the mean about them [point, node].
+        seen: whether nothing hides it.
+    """
+
+    source: AbstractDeltaSource
+    depth: Float[Array, "point node"]
+    forward: Float[Array, "point node"]
+    aside: Float[Array, "point node"]
+    seen: Float[Array, "point 1"]
+
+    def toward(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray 3"]:
+        """Directions to the source."""
+        return jax.vmap(self.source.toward)(point)[0]
+
+    def passing(self, between: Between, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """Irradiance [ray, node] [W m-2] where nothing but the medium is in its way."""
+        return jax.vmap(self.source.beam)(point) * jnp.exp(-between.read(self.depth))
+
+    def doubtful(self, between: Between, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """How much that may err as it is read between points [ray, node] [W m-2]: half of what `aside` makes."""
+        return jax.vmap(self.source.beam)(point) * between.read(self.aside) / 2
+
+
+class Doubt(NamedTuple):
+    """What tells how much moments may err.
+
+    Attributes:
+        rough: what they were if there were fewer harmonics [read, few, node].
+        reading: how much of what changes as the lattice is read by `Lattice.plain` they may err [read, few, node]:
+            half of it, all where the medium jumps.
+    """
+
+    rough: Float[Array, "read few node"]
+    reading: Float[Array, "read few node"]
+
+
+class Aimed(NamedTuple):
+    """What a part sends to an eye but for scattering coefficients and irradiances, at the points that are read.
+
+    Attributes:
+        eye: the eye.
+        narrow: whether it is so far away that neighbours see it in nearly one direction.
+        light: the first sum [read, node].
+        rough: that of `Doubt.rough`; None where what the lattice errs is sampled.
+        reading: and of `Doubt.reading`.
+        lobes: of every beam where it is seen, with what halos change [read, node].
+        halos: what they change.
+    """
+
+    eye: Eye
+    narrow: Bool[Array, ""]
+    light: Float[Array, "read node"]
+    rough: Float[Array, "read node"] | None
+    reading: Float[Array, "read node"] | None
+    lobes: tuple[Float[Array, "read node"], ...]
+    halos: tuple[Float[Array, "read node"], ...]
+
+    def serves(self, rays: Rays, asked: Bool[Array, " ray"]) -> Bool[Array, ""]:
+        """Whether all rays that are asked for meet in the eye."""
+        apart = rays.direction + self.eye.toward(rays.origin)
+        return self.narrow & jnp.all((dot(apart, apart) < ALIKE**2) | ~asked)
+
+
+class Told(NamedTuple):
+    """J [ray, node], J of fewer harmonics, and what J may err by how the lattice is read and by beams, with signs."""
+
+    whole: Float[Array, "ray node"]
+    rough: Float[Array, "ray node"]
+    reading: Float[Array, "ray node"]
+    beams: Float[Array, "ray node"]
+
+
+class Part(eqx.Module):
+    """One of `AbstractMedium.parts_with_particles` and the light in it.
+
+    Attributes:
+        medium: without its forward lobe; with it where what the lattice errs is sampled.
+        kept: share of its scattering that is in it [node].
+        moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
+        field: L_lm [read, harmonic, node]; None where what the lattice errs is not sampled.
+        doubt: of the moments; None where what the lattice errs is sampled.
+        glow: emission and scattering in the mean over directions, as shares of the largest of each node [read, 1, 1].
+        halo: of what is scattered forward; None without beams.
+        beams: of all sources without extent.
+        counts: points that are read along each edge.
+        aimed: what it sends to an eye; None where it was asked for none.
+    """
+
+    medium: AbstractScatterer
+    kept: Float[Array, " node"]
+    moments: Float[Array, "read harmonic node"]
+    field: Float[Array, "read harmonic node"] | None
+    doubt: Doubt | None
+    glow: Float[Array, "read 1 1"]
+    halo: Halo | None
+    beams: tuple[Beam, ...]
+    counts: tuple[int, int, int] = eqx.field(static=True)
+    aimed: Aimed | None = None
+
+    # Into any direction -----------------------------------------------------------------------------------------------
+
+    def source(self, point: Float[Array, "ray 3"], direction: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """J of rays in `direction` at points [ray, node] [W m-3 sr-1]."""
+        between, scattering = self._about(point)
+        near = jnp.where(jnp.any(scattering > 0, axis=1)[:, None, None], between.share, 0)
+        toward = harmonics(-direction, self._order)
+        found = collected(between.point[:, None], near[:, None], scattering[:, None], toward, self.moments)
+        return found + self._of_beams(point, direction, between, scattering)
+
+    def of_beams(self, point: Float[Array, "ray 3"], direction: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """What of J comes straight from sources without extent [ray, node]."""
+        return self._of_beams(point, direction, *self._about(point))
+
+    def _of_beams(self, point: Array, direction: Array, between: Between, scattering: Array) -> Array:
+        total = jnp.zeros_like(scattering)
+        for beam in self.beams:
+            cosine = dot(beam.toward(point), direction)
+            lobe = sum(self._turned(cosine, between.read(beam.forward)))
+            irradiance = beam.passing(between, point) * between.read(beam.seen)
+            total = total + scattering / self.kept[None] * irradiance * lobe
+        return total
+
+    # To an eye --------------------------------------------------------------------------------------------------------
+
+    def sent_to(self, eye: Eye) -> Aimed:
+        """What it sends to an eye."""
+        point = self.medium.from_cube(as_float(places(self.counts)))
+        toward = eye.toward(point)
+        lobes = harmonics(toward, self._order)
+
+        def light(moments: Array) -> Array:
+            each = [lobes[:, i, None] * moments[:, i] for i in range(moments.shape[1])]
+            return sum(each[1:], each[0])
+
+        told = (None, None) if self.doubt is None else (light(self.doubt.rough), light(self.doubt.reading))
+
+        def turned(own: tuple[Array, Array]) -> Array:
+            return jnp.concatenate(self._turned(*own), axis=1)
+
+        def turned_of(beam: Beam) -> tuple[Array, Array]:
+            # in a loop, so that what is used twice is not kept number by number of the tables
+            own, every = (dot(beam.toward(point), -toward), beam.forward), jnp.ones(len(point), bool)
+            lobe, change = jnp.split(for_active(turned, every, own, 2 * self.kept.shape[0]), 2, axis=1)
+            return beam.seen * (lobe + change), beam.seen * change
+
+        lit = [turned_of(beam) for beam in self.beams]
+        each = lax.stop_gradient(toward).reshape(*self.counts, 3)
+        apart = [jnp.max(jnp.sum(jnp.diff(each, axis=axis) ** 2, axis=-1)) for axis in range(3)]
+        return Aimed(
+            eye,
+            jnp.max(jnp.stack(apart)) < NARROW**2,
+            light(self.moments),
+            *told,
+            tuple(lobe for lobe, _ in lit),
+            tuple(change for _, change in lit),
+        )
+
+    def sent(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+        """`source` at points of rays that meet in the eye at which it is aimed."""
+        assert self.aimed is not None
+        aimed, (between, scattering) = self.aimed, self._about(point)
+
+        def sent() -> Array:
+            total = between.read(aimed.light)
+            for beam, lobe in zip(self.beams, aimed.lobes, strict=True):
+                total = total + beam.passing(between, point) * between.read(lobe) / self.kept[None]
+            return scattering * total
+
+        return _where_some(scattering, sent)
+
+    def told(self, point: Float[Array, "ray 3"]) -> Told:
+        """`sent` with what it may err, where that is not sampled."""
+        assert self.aimed is not None
+        aimed, (between, scattering) = self.aimed, self._about(point)
+
+        def told() -> Told:
+            assert aimed.rough is not None and aimed.reading is not None
+            straight, doubt = jnp.zeros_like(scattering), jnp.zeros_like(scattering)
+            for beam, lobe, halo in zip(self.beams, aimed.lobes, aimed.halos, strict=True):
+                irradiance, lobe, change = beam.passing(between, point), between.read(lobe), between.read(halo)
+                straight = straight + irradiance * lobe / self.kept[None]
+                doubt = doubt + (SPREAD * irradiance * change + beam.doubtful(between, point) * lobe) / self.kept[None]
+            whole, rough, reading = (between.read(x) for x in (aimed.light, aimed.rough, aimed.reading))
+            return Told(*(scattering * each for each in (whole + straight, rough + straight, reading, doubt)))
+
+        return _where_some(scattering, told)
+
+    # What both need ---------------------------------------------------------------------------------------------------
+
+    def brightness(self, rays: Rays) -> Float[Array, " ray"]:
+        """How bright rays are in the mean over the nodes if nothing is absorbed on their way."""
+        cuts = self.medium.cuts(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
+        length = (cuts[:, -1] - cuts[:, 0]) / POINTS
+        t = cuts[:, :1] + length[:, None] * as_float(np.arange(POINTS) + 0.5)[None]
+        between = about(self.counts, self.medium.to_cube(rays.at(t).reshape(-1, 3)))
+        near, share = (x.reshape(*t.shape, *x.shape[1:]) for x in between)
+        each = jnp.broadcast_to(length[:, None, None], (*t.shape, 1))
+        return collected(near, share, each, jnp.ones_like(length)[:, None], self.glow)[:, 0]
+
+    @property
+    def _order(self) -> int:
+        """Highest degree of the harmonics."""
+        return math.isqrt(self.moments.shape[1]) - 1
+
+    def _about(self, point: Float[Array, "ray 3"]) -> tuple[Between, Float[Array, "ray node"]]:
+        """How the lattice is read at points, and scattering coefficients there [ray, node]."""
+        return about(self.counts, self.medium.to_cube(point)), self.medium.scattering_at(point)
+
+    def _turned(self, cosine: Float[Array, " ray"], forward: Float[Array, "ray node"]) -> tuple[Array, Array]:
+        """The lobe at cosines, and what halos change of it at depths of forward scattering [ray, node] [sr-1]."""
+        assert self.medium.lobe is not None and self.halo is not None
+        return jax.vmap(self.medium.lobe.eval)(cosine), self.halo.change(cosine, forward)
+
+
+def _where_some(scattering: Float[Array, "ray node"], found: Callable[[], Any]) -> Any:
+    """What is `found` at points where something scatters; nothing is done where it is none of them.
+
+    XLA fuses no further than a condition: what is read is then one kernel, however often it is used.
+    """
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(found))
+    return lax.cond(jnp.max(scattering) > 0, found, lambda: nothing)
