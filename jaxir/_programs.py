@@ -20,6 +20,7 @@ import os
 import pickle
 import re
 import sys
+import threading
 import zlib
 from collections.abc import Callable
 from importlib.metadata import version
@@ -74,6 +75,7 @@ class _Program:
         self._function = function
         self._jitted: Any = eqx.filter_jit(function)
         self._held: dict[Any, _Ready | None] = {}  # None where it has to be `_jitted`
+        self._making: dict[Any, threading.Lock] = {}  # threads that ask for one executable wait for it
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         return self._run(*self._found(args, kwargs), args, kwargs)
@@ -102,22 +104,24 @@ class _Program:
         signature = structure, tuple(map(_kind, leaves)), _settings()
         arrays = [_bare(leaf) for leaf in leaves if eqx.is_array(leaf)]
         if signature not in self._held:
-            self._held[signature] = _ready(self._function, structure, leaves, arrays, signature)
+            with self._making.setdefault(signature, threading.Lock()):
+                if signature not in self._held:
+                    self._held[signature] = _ready(self._function, structure, leaves, arrays, signature)
         return self._held[signature], arrays, signature
 
     def of_items(self, inputs: Any) -> Callable[[Any], Any]:
         """See `of_items`."""
-        known: list[Any] = []  # the executable and the arrays of `inputs`
+        known: list[tuple[_Ready | None, list[Any]]] = []  # the executable and the arrays of `inputs`, once found
 
         def of(item: Any) -> Any:
             own = jax.tree.leaves(item)
             if known:
-                ready, arrays = known
+                ready, arrays = known[0]
                 return self._jitted(inputs, item) if ready is None else ready([*arrays, *own])
             ready, arrays, signature = self._found((inputs, item), {})
             result = self._run(ready, arrays, signature, (inputs, item), {})
             still = self._held.get(signature)  # what was kept may have lacked something
-            known.extend((still, arrays[: len(arrays) - len(own)]))
+            known.append((still, arrays[: len(arrays) - len(own)]))
             return result
 
         return of

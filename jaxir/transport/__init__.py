@@ -12,13 +12,6 @@ from jaxir.transport._estimators import CombinedIntegration as CombinedIntegrati
 from jaxir.transport._estimators import LineIntegration as LineIntegration
 from jaxir.transport._estimators import PointIntegration as PointIntegration
 from jaxir.transport._estimators import estimate as estimate
-from jaxir.transport._evaluate import Orders as Orders
-from jaxir.transport._evaluate import aimed as aimed
-from jaxir.transport._evaluate import bounced as bounced
-from jaxir.transport._evaluate import evaluate as evaluate
-from jaxir.transport._evaluate import evaluate_orders as evaluate_orders
-from jaxir.transport._evaluate import unoccluded_radiance as unoccluded_radiance
-from jaxir.transport._evaluate import with_scattered as with_scattered
 from jaxir.transport._method import ClosedForm as ClosedForm
 from jaxir.transport._method import DirectSampling as DirectSampling
 from jaxir.transport._method import DiscreteOrdinates as DiscreteOrdinates
@@ -40,5 +33,12 @@ from jaxir.transport.components import components_of as components_of
 from jaxir.transport.components import empty_components as empty_components
 from jaxir.transport.components import evaluate_components as evaluate_components
 from jaxir.transport.components import with_own_media as with_own_media
+from jaxir.transport.evaluation import Orders as Orders
+from jaxir.transport.evaluation import aimed as aimed
+from jaxir.transport.evaluation import bounced as bounced
+from jaxir.transport.evaluation import evaluate as evaluate
+from jaxir.transport.evaluation import evaluate_orders as evaluate_orders
+from jaxir.transport.evaluation import unoccluded_radiance as unoccluded_radiance
+from jaxir.transport.evaluation import with_scattered as with_scattered
 from jaxir.transport.ordinates import lattice_error as lattice_error
 from jaxir.transport.ordinates import solution_checks as solution_checks

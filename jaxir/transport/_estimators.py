@@ -32,8 +32,8 @@ from jaxir.geometry import LIST_CHUNK, Crossings, Rays, crossings
 from jaxir.medium import CellMedium, crossing_sum
 from jaxir.optics import SERIES_BELOW, across_layer, phi1, phi2
 from jaxir.scene import Lit
-from jaxir.transport._evaluate import behind_plumes
 from jaxir.transport._paths import Paths
+from jaxir.transport.evaluation import behind_plumes
 
 
 class Layer(NamedTuple):

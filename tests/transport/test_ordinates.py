@@ -15,7 +15,8 @@ import jaxir
 from jaxir import DiscreteOrdinates, Method
 from jaxir.geometry import Eye, degrees, harmonics, sphere_rule
 from jaxir.optics.spectrum import gray_nodes
-from jaxir.transport import _evaluate, with_scattered
+from jaxir.transport import with_scattered
+from jaxir.transport.evaluation import _scattered
 from jaxir.transport.ordinates._medium import chosen_rays
 
 optimised = pytest.mark.optimised
@@ -251,8 +252,8 @@ def test_derivatives_are_those_of_the_solution(x64):
 def test_a_solution_serves_other_cameras_and_air_and_no_other_scene(monkeypatch):
     """Of known values: what is differentiated is solved for anew, else derivatives would end at what was kept."""
     solved = []
-    monkeypatch.setattr(_evaluate, "_solved", lambda lit, _: solved.append(lit) or lit.medium)
-    monkeypatch.setattr(_evaluate, "_held", {})
+    monkeypatch.setattr(_scattered, "_solved", lambda lit, _: solved.append(lit) or lit.medium)
+    monkeypatch.setattr(_scattered, "_held", {})
     nodes, plume = gray_nodes((jaxir.MWIR,)), box(1.0, 0.9, jaxir.Isotropic())
     clear = with_scattered(jaxir.Scene(None, plume).on(nodes), COARSE)
     hazy = with_scattered(

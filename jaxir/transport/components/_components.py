@@ -30,9 +30,9 @@ from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene
 from jaxir.scene import on_nodes as scene_on_nodes
 from jaxir.scene.light import AbstractLight, backgrounds
-from jaxir.transport._evaluate import on_nodes, radiance_before_air, with_scattered
 from jaxir.transport._method import Method
 from jaxir.transport._paths import Paths
+from jaxir.transport.evaluation import on_nodes, radiance_before_air, with_scattered
 
 KINDS = ("sources", "parts")
 BACKGROUND, AIR = "background", "air"

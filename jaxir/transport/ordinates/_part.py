@@ -178,8 +178,6 @@ class Part(eqx.Module):
             each = [lobes[:, i, None] * moments[:, i] for i in range(moments.shape[1])]
             return sum(each[1:], each[0])
 
-        told = (None, None) if self.doubt is None else (light(self.doubt.rough), light(self.doubt.reading))
-
         def turned(own: tuple[Array, Array]) -> Array:
             return jnp.concatenate(self._turned(*own), axis=1)
 
@@ -196,7 +194,8 @@ class Part(eqx.Module):
             eye,
             jnp.max(jnp.stack(apart)) < NARROW**2,
             light(self.moments),
-            *told,
+            None if self.doubt is None else light(self.doubt.rough),
+            None if self.doubt is None else light(self.doubt.reading),
             tuple(lobe for lobe, _ in lit),
             tuple(change for _, change in lit),
         )

@@ -1,201 +1,22 @@
-"""Evaluate: radiance of traced paths for the present temperatures, emissivities and coefficients. Smooth.
-
-With b_k the throughput of segment k (b_0 = 1), A_k what segment k brings without going on (the plume's emission, beams
-scattered once, and what leaves the skin at its end or surrounds the scene), D_k the direct light where particles
-scatter the path, and T the transmittance up to where it goes on,
-
-    L = sum_k b_k (A_k + e_k (D_k - E_k)),    e_k = T scattering / pdf_length,
-    b_(k+1) = b_k (e_k phase / pdf, or T brdf cos / (pdf chance)).
-
-E_k is 0, or what a lattice of scattered light says of D_k and of what segment k + 1 brings, which is in A_k already.
-Densities are those of the trace; scattering, T, phase, brdf and emission carry the derivatives.
-"""
+"""What segments of paths bring for the present temperatures, emissivities and coefficients, and how they go on."""
 
 from __future__ import annotations
 
-import dataclasses
-import threading
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._arrays import fingerprint, is_traced
 from jaxir._fields import by_band, over_nodes
-from jaxir._math import dot, in_kernels
-from jaxir._programs import program
-from jaxir.geometry import Camera, Rays
+from jaxir._math import dot
 from jaxir.geometry.search import face_normal
-from jaxir.medium import AbstractMedium
 from jaxir.scene import Lit
 from jaxir.transport._lights import SampledLight, emitted, lights_at_particles, lights_at_skin
 from jaxir.transport._method import ClosedForm, Method
 from jaxir.transport._paths import LightSamples, Paths, Scattering, Segment, Vertex
-from jaxir.transport._trace import trace
-from jaxir.transport.ordinates import Scattered, scattered
-
-T = TypeVar("T")
-
-
-class Orders(NamedTuple):
-    """Radiance of paths [ray, node], and the parts of it scattered as often as may be, and once less."""
-
-    radiance: Float[Array, "ray node"]
-    last: Float[Array, "ray node"]
-    before: Float[Array, "ray node"]
-
-
-def evaluate(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:
-    """Radiance at the entrance pupil along each path, equations (2) and (3) with (4) and (5) in front.
-
-        L = atmosphere's transmittance * [plume in front of (skin, or background where no skin is met)] + path radiance
-
-    Args:
-        lit: the scene on the nodes, `scene.on(nodes)`.
-        paths: `trace(scene, rays, method, key)`; they carry the method.
-
-    Returns:
-        Radiance [ray, node] [W m-2 sr-1], integrated over each node's bin.
-
-    Differentiable, in both modes, in every radiometric leaf of the scene, without bias: directions keep the density
-    with which they were drawn and the brdf in front of it carries the derivative. Not in the scene's geometry,
-    but for the place and shape of a jet.
-    """
-    return evaluate_orders(lit, paths).radiance
-
-
-def evaluate_orders(lit: Lit, paths: Paths) -> Orders:
-    """`evaluate`, with what the last two orders of scattering brought [ray, node]."""
-    lit = with_scattered(lit, paths.method)
-    found = _along_paths(lit, paths)
-    return Orders(lit.through_air(found.radiance), lit.dimmed_by_air(found.last), lit.dimmed_by_air(found.before))
-
-
-def radiance_before_air(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:
-    """`evaluate` without the air [ray, node], of a scene that is ready, see `with_scattered`."""
-    return _along_paths(lit, paths).radiance
-
-
-def with_scattered(lit: Lit, method: Method) -> Lit:
-    """The scene with what its particles scatter, where the method finds that on a lattice; else as it is.
-
-    Done once, it serves all paths; `evaluate` does it unless it was done. Of known values the last solution is kept:
-    neither cameras and the air before them nor bands ask for another.
-    """
-    if method.scattering is None or lit.medium is None or not lit.medium.scatters:
-        return lit
-    nodes = dataclasses.replace(lit.nodes, response=jnp.zeros_like(lit.nodes.response[:1]), names=("any",), error=None)
-    scene = eqx.tree_at(lambda s: s.atmosphere, lit.scene, None, is_leaf=lambda x: x is None)
-    bare = Lit(scene, nodes, lit.blackbody, lit.medium, None, lit.beams)
-    ordinates = dataclasses.replace(method.scattering, orders=min(method.scattering.orders, 1))  # however many more
-    once = dataclasses.replace(method, bounces=0, scattering=ordinates, skin_light=None, plume_light=None)
-    once = once.resolved(scene)
-    return eqx.tree_at(lambda lit: lit.medium, lit, _remembered((bare, once)))
-
-
-def aimed(lit: Lit, camera: Camera) -> Lit:
-    """A scene with its scattered light, see `with_scattered`, ready for many rays of a camera."""
-    if not isinstance(lit.medium, Scattered):
-        return lit
-    return eqx.tree_at(lambda lit: lit.medium, lit, lit.medium.aimed_at(camera.eye), is_leaf=lambda x: x is lit.medium)
-
-
-def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
-    """`_solved`, or what it found for the same values before."""
-    if is_traced(asked):
-        return _solved(*asked)
-    key = jax.tree.structure(asked), fingerprint(asked)
-    with _SOLVING:
-        found = _held.get(key)
-        if found is None:
-            found = _solved(*asked)
-            _held.clear()
-            _held[key] = found
-    return found
-
-
-_held: dict[tuple, AbstractMedium] = {}
-_SOLVING = threading.Lock()  # threads that ask for one solution wait for it
-
-
-@program
-def _solved(lit: Lit, method: Method) -> AbstractMedium:
-    assert method.scattering is not None
-
-    alone = dataclasses.replace(method, orders=0, scattering=dataclasses.replace(method.scattering, orders=0))
-
-    def arriving(lit: Lit, rays: Rays) -> Array:
-        paths = trace(lit.scene, rays, alone, jax.random.key(0))
-        around = jnp.ones(paths.length.shape, bool) if paths.first.sees_surroundings is None else None
-        segment = dataclasses.replace(paths.first, sees_surroundings=around)
-        return _brings(lit, paths, segment, False, True)
-
-    return scattered(lit, method.scattering, arriving)
-
-
-def bounced(lit: Lit, paths: Paths, least: int) -> Float[Array, "bounce ray node"]:
-    """What paths bring after `least`, least + 1, ... `Method.bounces` reflections each [bounce, ray, node]."""
-    lit = with_scattered(lit, paths.method)
-    dark = jnp.zeros((paths.method.bounces + 1 - least, paths.length.shape[0], lit.nodes.count), paths.length.dtype)
-    asked = jnp.arange(least, paths.method.bounces + 1, dtype=jnp.int32)
-
-    def added(sums: Array, part: Array, segment: Segment, index: Array, _: int) -> Array:
-        before = (
-            index if segment.scattering is None else index - segment.scattering.before
-        )  # they go on from one of both
-        return sums + jnp.where((asked[:, None] == before)[..., None], part, 0)
-
-    return lit.dimmed_by_air(_summed(lit, paths, dark, added))
-
-
-def _along_paths(lit: Lit, paths: Paths) -> Orders:
-    """Radiance along paths, before the air."""
-    method = paths.method
-    dark = jnp.zeros((paths.length.shape[0], lit.nodes.count), paths.length.dtype)
-    if method.segments() == 1:
-        radiance = _brings(lit, paths, paths.first, True, True)
-        return Orders(radiance, radiance if method.samples_particles(lit.scene) else dark, dark)
-
-    def added(sums: Orders, part: Array, segment: Segment, index: Array, more: int) -> Orders:
-        if segment.scattering is None:
-            return sums._replace(radiance=sums.radiance + part)
-        order = segment.scattering.before + more
-        last, one_less = (jnp.where((order == method.orders - less)[:, None], part, 0) for less in (0, 1))
-        return Orders(sums.radiance + part, sums.last + last, sums.before + one_less)
-
-    return _summed(lit, paths, Orders(dark, dark, dark), added)
-
-
-def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment, Array, int], T]) -> T:
-    """Sums over the segments of paths of what each brings, which `added` adds to them.
-
-    It is told how often that was scattered beside what paths were before the segment: direct light at a particle, once.
-    """
-    method, count = paths.method, paths.method.segments()
-    one = jnp.ones((paths.length.shape[0], lit.nodes.count), paths.length.dtype)
-
-    def step(state: tuple[T, Array], own: tuple[Segment, Array]) -> tuple[tuple[T, Array], None]:
-        ended = ~jnp.any(own[0].length > 0)  # which costs nothing where all paths have
-        return lax.cond(ended, lambda state, _: state, follow, state, own), None
-
-    def follow(state: tuple[T, Array], own: tuple[Segment, Array]) -> tuple[T, Array]:
-        (sums, throughput), (segment, index) = state, own
-        brought = _brings(lit, paths, segment, index == 0, index == count - 1)
-        passed, event = _event(lit, segment)
-        sums = added(sums, throughput * brought, segment, index, 0)
-        if segment.scattering is not None:
-            direct = _direct_at_particles(lit, method, segment, segment.scattering)
-            if method.scattering is not None:
-                direct = direct - _expected_at_particles(lit, segment, segment.scattering)
-            sums = added(sums, throughput * event * direct, segment, index, 1)
-        return sums, in_kernels(throughput * _onward(lit, segment, passed, event))
-
-    return lax.scan(step, (sums, one), (paths.segments, jnp.arange(count, dtype=jnp.int32)))[0][0]
-
+from jaxir.transport.ordinates import Scattered
 
 # What a segment brings ------------------------------------------------------------------------------------------------
 
@@ -211,7 +32,7 @@ def behind_plumes(lit: Lit, method: Method, segment: Segment, first: Array | boo
     return behind
 
 
-def _brings(lit: Lit, paths: Paths, segment: Segment, first: Array | bool, last: Array | bool) -> Array:
+def brings(lit: Lit, paths: Paths, segment: Segment, first: Array | bool, last: Array | bool) -> Array:
     """A_k: what comes along segments without going on [ray, node]; `first` are those of the eye."""
     behind = behind_plumes(lit, paths.method, segment, first, last)
     brought = _through_plumes(lit, segment, behind, paths.route)
@@ -250,7 +71,7 @@ def _through_plumes(lit: Lit, segment: Segment, behind: Array, route: Any) -> Ar
 # How paths go on ------------------------------------------------------------------------------------------------------
 
 
-def _event(lit: Lit, segment: Segment) -> tuple[Array | float, Array | float]:
+def event(lit: Lit, segment: Segment) -> tuple[Array | float, Array | float]:
     """Transmittance to where paths go on, and that over the density of the distance where particles scatter them."""
     assert segment.inverse_pdf is not None
     reach = jnp.where(segment.inverse_pdf > 0, segment.length, 0)
@@ -262,7 +83,7 @@ def _event(lit: Lit, segment: Segment) -> tuple[Array | float, Array | float]:
     return passed, jnp.where(scattered[:, None], passed * segment.scattering.inverse_pdf[:, None], 0)
 
 
-def _onward(lit: Lit, segment: Segment, passed: Array | float, event: Array | float) -> Array:
+def onward(lit: Lit, segment: Segment, passed: Array | float, event: Array | float) -> Array:
     """Throughput of the next segment over that of this one [ray, node]."""
     assert segment.omega is not None and segment.inverse_pdf is not None
     inverse = segment.inverse_pdf
@@ -280,7 +101,7 @@ def _onward(lit: Lit, segment: Segment, passed: Array | float, event: Array | fl
     return onward
 
 
-def _direct_at_particles(lit: Lit, method: Method, segment: Segment, at: Scattering) -> Array:
+def direct_at_particles(lit: Lit, method: Method, segment: Segment, at: Scattering) -> Array:
     """Light straight from the lights, scattered towards the segment's begin [ray, node] [W m-3 sr-1]."""
     assert lit.medium is not None
     medium, point, along = lit.medium, segment.rays.at(at.t), segment.rays.direction
@@ -298,8 +119,8 @@ def _direct_at_particles(lit: Lit, method: Method, segment: Segment, at: Scatter
     return total
 
 
-def _expected_at_particles(lit: Lit, segment: Segment, at: Scattering) -> Array:
-    """What the lattice says of the light that `_direct_at_particles` and the next segment find [ray, node]."""
+def expected_at_particles(lit: Lit, segment: Segment, at: Scattering) -> Array:
+    """What the lattice says of the light that `direct_at_particles` and the next segment find [ray, node]."""
     assert isinstance(lit.medium, Scattered) and segment.omega is not None and segment.inverse_pdf is not None
     point, along = segment.rays.at(at.t), segment.rays.direction
     found = lit.medium.expected(point, along, segment.omega)

@@ -1,0 +1,106 @@
+"""Scattered light that is solved for: once for a scene, and kept while its values stay the same."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Int
+
+from jaxir._arrays import fingerprint, is_traced, placed
+from jaxir._concurrent import each_of
+from jaxir._programs import of_items, program
+from jaxir.geometry import Camera, Rays
+from jaxir.medium import AbstractMedium
+from jaxir.scene import Lit
+from jaxir.transport._method import DiscreteOrdinates, Method
+from jaxir.transport._trace import trace
+from jaxir.transport.evaluation._segments import brings
+from jaxir.transport.ordinates import Posed, Scattered, Solution, finished, posed, solution
+
+
+def with_scattered(lit: Lit, method: Method) -> Lit:
+    """The scene with what its particles scatter, where the method finds that on a lattice; else as it is.
+
+    Done once, it serves all paths; `evaluate` does it unless it was done. Of known values the last solution is kept:
+    neither cameras and the air before them nor bands ask for another.
+    """
+    if method.scattering is None or lit.medium is None or not lit.medium.scatters:
+        return lit
+    nodes = dataclasses.replace(lit.nodes, response=jnp.zeros_like(lit.nodes.response[:1]), names=("any",), error=None)
+    scene = eqx.tree_at(lambda s: s.atmosphere, lit.scene, None, is_leaf=lambda x: x is None)
+    bare = Lit(scene, nodes, lit.blackbody, lit.medium, None, lit.beams)
+    ordinates = dataclasses.replace(method.scattering, orders=min(method.scattering.orders, 1))  # however many more
+    once = dataclasses.replace(method, bounces=0, scattering=ordinates, skin_light=None, plume_light=None)
+    once = once.resolved(scene)
+    return eqx.tree_at(lambda lit: lit.medium, lit, _remembered((bare, once)))
+
+
+def aimed(lit: Lit, camera: Camera) -> Lit:
+    """A scene with its scattered light, see `with_scattered`, ready for many rays of a camera."""
+    if not isinstance(lit.medium, Scattered):
+        return lit
+    return eqx.tree_at(lambda lit: lit.medium, lit, lit.medium.aimed_at(camera.eye), is_leaf=lambda x: x is lit.medium)
+
+
+def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
+    """The medium with its scattered light, or as it was found for the same values before."""
+    if is_traced(asked):
+        return _solved(*asked)
+    key = jax.tree.structure(asked), fingerprint(asked)
+    with _SOLVING:
+        found = _held.get(key)
+        if found is None:
+            found = _solved(*asked)
+            _held.clear()
+            _held[key] = found
+    return found
+
+
+_held: dict[tuple, AbstractMedium] = {}
+_SOLVING = threading.Lock()  # threads that ask for one solution wait for it
+
+
+def _solved(lit: Lit, method: Method) -> AbstractMedium:
+    """Solve for the light in the plumes; groups of nodes side by side where all is known."""
+    ordinates = method.scattering
+    assert ordinates is not None
+    equations = _posed(lit, method)
+    count = equations.groups.unscattered.shape[0]
+    if is_traced(equations):
+        solutions = lax.map(lambda group: solution(equations, ordinates, group), jnp.arange(count, dtype=jnp.int32))
+    else:
+        of_group = of_items(_solution, (equations, ordinates))
+        groups = np.arange(count, dtype=np.int32)
+        each = list(each_of(lambda group: jax.block_until_ready(of_group(placed(group))), groups, ready=count > 1))
+        solutions = jax.tree.map(lambda *some: jnp.stack(some), *each)
+    return _finished(equations, ordinates, solutions)
+
+
+@program
+def _posed(lit: Lit, method: Method) -> Posed:
+    assert method.scattering is not None
+    alone = dataclasses.replace(method, orders=0, scattering=dataclasses.replace(method.scattering, orders=0))
+
+    def arriving(lit: Lit, rays: Rays) -> Array:
+        paths = trace(lit.scene, rays, alone, jax.random.key(0))
+        around = jnp.ones(paths.length.shape, bool) if paths.first.sees_surroundings is None else None
+        segment = dataclasses.replace(paths.first, sees_surroundings=around)
+        return brings(lit, paths, segment, False, True)
+
+    return posed(lit, method.scattering, arriving)
+
+
+@program
+def _solution(asked: tuple[Posed, DiscreteOrdinates], group: Int[Array, ""]) -> Solution:
+    return solution(*asked, group)
+
+
+@program
+def _finished(equations: Posed, ordinates: DiscreteOrdinates, solutions: Solution) -> AbstractMedium:
+    return finished(equations, ordinates, solutions)

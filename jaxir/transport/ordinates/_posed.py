@@ -1,0 +1,278 @@
+"""Scattered light without samples: the radiance in a plume on a lattice, by discrete ordinates.
+
+In a plume with scattering coefficient s and phase function p light of radiance L(x, w') is scattered into w by
+
+    J(x, w) = s integral p(w . w') L(x, w') dw' = s sum_l chi_l sum_m L_lm(x) Y_lm(w),
+
+L_lm being the coefficients of L in spherical harmonics and chi_l the Legendre moments of p. They solve
+
+    L_lm = L0_lm + K (B_lm + L_lm),
+
+L0 being what arrives at x without having been scattered in the plume, B what comes straight from sources without extent
+and K the transport of J along rays from the lattice's points, in the directions of a rule over the sphere. A Krylov
+method solves it, however often light is scattered. L is then known along every other ray by one integral,
+`Scattered.radiance`.
+
+Of a forward lobe the share f = chi_(order + 1) is taken as not scattered (Wiscombe, "The delta-M method", J. Atmos.
+Sci. 34, 1977), and light of sources without extent is scattered once with the whole phase function (Nakajima and
+Tanaka, JQSRT 40, 1988), as spread as it is by what was scattered forward before, see `_halo`. Between the lattice's
+points L_lm is interpolated by cubics, and B, with its shadows, and the optical depth towards sources linearly on a
+lattice `FINER` times as fine. Rays to the lattice's points read it twice in each of `PANELS`.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from jaxir._arrays import as_float
+from jaxir._math import sum_before
+from jaxir.geometry import Rays, degrees, harmonics, sphere_rule
+from jaxir.geometry.search import any_hit, closest_hit
+from jaxir.medium import AbstractMedium, AbstractScatterer, merged_cuts, panel_points, panel_weights
+from jaxir.scene import Lit
+from jaxir.transport._method import DiscreteOrdinates
+from jaxir.transport.ordinates._lattice import FINER, Between, Lattice, about, beside, lattice_of, places
+from jaxir.transport.ordinates._part import Beam
+
+PANELS = 6  # of a ray between the lattice's points, where the medium is smooth; else twice as many
+PROBED = 4  # points of each at which it is seen where they shall lie
+MOST = 2**30  # numbers that transport may keep
+TOGETHER = 16  # nodes solved for together: little scattering ends sooner than much
+CORNERS = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))  # of cubes, about points that see a beam
+
+
+class Moments(NamedTuple):
+    """Legendre moments of a lobe, by harmonic.
+
+    `forward` is the share that is scattered straight on [node], `rest` and `all` are the moments of the rest and of the
+    whole lobe [harmonic, node], `beyond` is the largest of the rest that no harmonic holds [].
+    """
+
+    forward: Array
+    rest: Array
+    all: Array
+    beyond: Array
+
+
+class Groups(NamedTuple):
+    """What is known of groups of nodes of their equations, as shares of `Posed.scale`; the last is filled with zeros.
+
+    Attributes:
+        unscattered: L0 [group, point, harmonic, node].
+        straight: B, of each part that sources without extent light [group, read, harmonic, node].
+        rest: moments of the harmonics that are kept, of each part [group, harmonic, node].
+        passed: what `_ahead` says of each part [group, direction, point, step, node].
+    """
+
+    unscattered: Array
+    straight: list[Array]
+    rest: list[Array]
+    passed: list[Array]
+
+
+class Posed(NamedTuple):
+    """The equations of a scene, not solved yet.
+
+    Attributes:
+        given: the medium with its forward lobes.
+        medium: without them.
+        beams: sources without extent as seen from each of its parts.
+        moments: of their lobes.
+        where: how rays to the lattice's points read them [direction, ...].
+        groups: the equations.
+        scale: the largest light of each node [1, 1, node].
+    """
+
+    given: AbstractMedium
+    medium: AbstractMedium
+    beams: list[tuple[Beam, ...]]
+    moments: list[Moments]
+    where: list[Between]
+    groups: Groups
+    scale: Array
+
+
+def posed(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays], Array]) -> Posed:
+    """The equations of the light in the plumes of a scene.
+
+    Args:
+        lit: the scene on the nodes.
+        ordinates: how finely.
+        arriving: radiance at the origins of rays in a scene whose particles do not scatter [ray, node].
+
+    Raises:
+        ValueError: more numbers than `MOST` would be kept.
+
+    This, `solution` and `finished` are differentiable, in both modes, in all that `lit` is differentiable in: the
+    equation's solution has its own rule.
+    """
+    assert lit.medium is not None
+    order, nodes, given = ordinates.order, lit.nodes.count, lit.medium
+    _require_that_it_fits(given, ordinates, nodes)
+    moments = [_moments(part, order, nodes) for part in given.parts_with_particles]
+    medium = given.less_forward([own.forward for own in moments])
+    lit = eqx.tree_at(lambda lit: lit.medium, lit, medium)
+    parts, lattices = medium.parts_with_particles, lattices_of(medium, ordinates)
+    point = jnp.concatenate([p.from_cube(as_float(places(x.solved))) for p, x in zip(parts, lattices, strict=True)])
+    direction, _, by_direction = rule(order)
+
+    groups = -(-nodes // TOGETHER)
+
+    def grouped(of_nodes: Array) -> Array:
+        """Groups of nodes of a table [group, ..., node]."""
+        many = -(-nodes // groups)
+        filled = jnp.pad(of_nodes, [(0, 0)] * (of_nodes.ndim - 1) + [(0, groups * many - nodes)])
+        return jnp.moveaxis(filled.reshape(*of_nodes.shape[:-1], groups, many), -2, 0)
+
+    def ahead(total: Array, own: tuple[Array, Array]) -> tuple[Array, list[tuple[Between, Array]]]:
+        rays = Rays(point, jnp.broadcast_to(-own[0], point.shape))
+        came = own[1][None, :, None] * arriving(lit, rays)[:, None]
+        steps = _ahead(medium, list(zip(parts, lattices, strict=True)), rays, _length(lit, rays))
+        return total + came, [(between, grouped(passed)) for between, passed in steps]
+
+    none = jnp.zeros((point.shape[0], by_direction.shape[1], nodes), point.dtype)
+    unscattered, routes = lax.scan(ahead, none, (direction, by_direction))
+    where, passed = [route[0] for route in routes], [jnp.moveaxis(route[1], 1, 0) for route in routes]
+    beams = [
+        tuple(_beam(lit, medium, given, part, lattice, source) for source in lit.scene.delta_sources)
+        for part, lattice in zip(parts, lattices, strict=True)
+    ]
+    straight = [_of_beams(*each, order) for each in zip(parts, lattices, beams, strict=True) if each[-1]]
+    scale = functools.reduce(jnp.maximum, [jnp.max(jnp.abs(light), axis=(0, 1)) for light in (unscattered, *straight)])
+    scale = lax.stop_gradient(jnp.where(scale > 0, scale, 1))[None, None]
+    every = Groups(
+        grouped(unscattered / scale),
+        [grouped(light / scale) for light in straight],
+        [grouped(own.rest) for own in moments],
+        passed,
+    )
+    return Posed(given, medium, beams, moments, where, every, scale)
+
+
+def lattices_of(medium: AbstractMedium, ordinates: DiscreteOrdinates) -> list[Lattice]:
+    return [lattice_of(part, ordinates) for part in medium.parts_with_particles]
+
+
+def rule(order: int) -> tuple[Array, Array, Array]:
+    """Directions to the lattice's points [direction, 3], their harmonics [direction, harmonic], and with weights."""
+    direction, weight = (as_float(x) for x in sphere_rule(2 * order))
+    lobes = harmonics(direction, order)
+    return direction, lobes, weight[:, None] * lobes
+
+
+def _require_that_it_fits(medium: AbstractMedium, ordinates: DiscreteOrdinates, nodes: int) -> None:
+    parts = medium.parts_with_particles
+    counts = [part.lattice(ordinates.along, ordinates.across) for part in parts]
+    points, splines = sum(map(math.prod, counts)), sum(FINER * count**2 for own in counts for count in own)
+    directions = (2 * ordinates.order + 2) * (2 * ordinates.order + 3)  # of the rule for twice the degree
+    need = directions * points * 2 * sum(map(_panels, parts)) * nodes * len(parts) + splines
+    if need > MOST:
+        raise ValueError(
+            f"DiscreteOrdinates: got {need:.2g} numbers to keep, expected at most {MOST:.2g}; take fewer points "
+            "(along, across), a lower order or fewer spectral nodes"
+        )
+
+
+def _moments(medium: AbstractScatterer, order: int, nodes: int) -> Moments:
+    assert medium.lobe is not None
+    chi = jnp.broadcast_to(medium.lobe.moments(order + 1), (order + 2, nodes))
+    forward = jnp.maximum(jnp.minimum(chi[-2], chi[-1]), 0)  # moments of a lobe backward change their sign
+    rest = (chi - forward[None]) / (1 - forward)[None]
+    return Moments(forward, rest[degrees(order)], chi[degrees(order)], jnp.max(jnp.abs(rest[-1])))
+
+
+def _length(lit: Lit, rays: Rays) -> Float[Array, " ray"]:
+    """How far rays from the lattice go [ray] [m]."""
+    if lit.scene.skin is None:
+        return jnp.full(rays.count, jnp.inf, rays.origin.dtype)
+    return closest_hit(lit.scene.skin.mesh, lax.stop_gradient(rays)).t
+
+
+def _panels(part: AbstractScatterer) -> int:
+    """Panels of a ray through a part: where they do not end where the medium jumps, shorter ones err less."""
+    return PANELS if part.smooth else 2 * PANELS
+
+
+def _ahead(
+    medium: AbstractMedium, parts: list[tuple[AbstractScatterer, Lattice]], rays: Rays, length: Array
+) -> list[tuple[Between, Array]]:
+    """How rays from the lattice's points read what is scattered on their way: where, and with which weight.
+
+    A panel is integrated from two points, see `panel_weights`. Panels are short near the rays' origins, and where what
+    is seen from there ends.
+    """
+
+    def edges(part: AbstractScatterer) -> Array:
+        cuts, panels = part.cuts(rays, length), _panels(part)
+        even = as_float(np.arange(PROBED * panels + 1) / (PROBED * panels))
+        near = even**2
+        t = cuts[:, :1] + (cuts[:, -1:] - cuts[:, :1]) * near[None]
+        middle = rays.at((t[:, 1:] + t[:, :-1]) / 2).reshape(-1, 3)
+        extinction = medium.coefficients(middle)[0].reshape(rays.count, PROBED * panels, -1)
+        passed = jnp.exp(-jnp.cumsum(extinction * jnp.diff(t)[..., None], axis=1))
+        hidden = jnp.concatenate([jnp.zeros_like(t[:, :1]), jnp.mean(1 - passed, axis=2)], axis=1)
+        most = hidden[:, -1:]
+        share = (hidden / jnp.where(most > 0, most, 1) + even[None]) / 2
+        wanted = share[:, -1:] * as_float(np.arange(panels + 1) / panels)[None]
+        return jax.vmap(jnp.interp)(wanted, share, t)
+
+    t, half = panel_points(merged_cuts([edges(part) for part, _ in parts]))
+    t, half = jnp.moveaxis(t, 2, 0), half.T[:, :, None]
+    place = rays.at(t).reshape(-1, 3)
+    depth = medium.coefficients(place)[0].reshape(*t.shape, -1) * half[:, :, None]
+    before = jnp.exp(-sum_before(depth.sum(axis=2), 1)) * half
+    sent = jnp.stack([before * share for share in panel_weights(depth[:, :, 0], depth[:, :, 1])], axis=2)
+
+    def weights(part: AbstractScatterer) -> Array:
+        return (sent * part.scattering_at(place).reshape(sent.shape)).reshape(rays.count, 2 * t.shape[1], -1)
+
+    return [(about(lattice.read, part.to_cube(place)), weights(part)) for part, lattice in parts]
+
+
+def _beam(
+    lit: Lit, medium: AbstractMedium, given: AbstractMedium, part: AbstractScatterer, lattice: Lattice, source: Any
+) -> Beam:
+    """A source as seen from the points that are read, in a medium that was `given` with its forward lobes.
+
+    Depths are means of places about each point, by what is scattered there: across cells that lie along light they
+    jump, and points may lie on the cells' sides.
+    """
+    place, aside = places(lattice.read), beside(lattice.read)
+    many = part.from_cube(as_float(np.concatenate([place, *(place + aside * np.array(corner) for corner in CORNERS)])))
+    omega, distance = jax.vmap(source.toward)(many)
+    each = [one.transmittance(Rays(many, omega), distance) for one in (medium, given)]
+    each = [-jnp.log(jnp.maximum(x, jnp.finfo(x.dtype).tiny)) for x in each]  # beyond it nothing is left
+    own, whole = (x.reshape(1 + len(CORNERS), len(place), -1) for x in each)
+    weight = lax.stop_gradient(part.scattering_at(many).max(axis=1)).reshape(*own.shape[:2], 1)[1:]
+    total = weight.sum(axis=0, keepdims=True)
+    weight = jnp.where(total > 0, weight, 1) / jnp.where(total > 0, total, len(CORNERS))
+    depth, whole = ((weight * x[1:]).sum(axis=0) for x in (own, whole))
+    point, omega, distance = (x[: len(place)] for x in (many, omega, distance))
+    seen = jnp.ones((point.shape[0], 1), point.dtype)
+    if lit.scene.skin is not None:
+        hidden = any_hit(lit.scene.skin.mesh, lax.stop_gradient(Rays(point, omega)), t_max=lax.stop_gradient(distance))
+        seen = jnp.where(hidden[:, None], 0, seen)
+    return Beam(
+        source, depth, jnp.maximum(whole - depth, 0), lax.stop_gradient(jnp.exp(-own[0]) - jnp.exp(-depth)), seen
+    )
+
+
+def _of_beams(part: AbstractScatterer, lattice: Lattice, beams: tuple[Beam, ...], order: int) -> Array:
+    """Coefficients of the light that comes straight from sources without extent [read, harmonic, node]."""
+    point = part.from_cube(as_float(places(lattice.read)))
+
+    def one(beam: Beam) -> Array:
+        light = jax.vmap(beam.source.beam)(point) * jnp.exp(-beam.depth) * beam.seen
+        return harmonics(-beam.toward(point), order)[:, :, None] * light[:, None]
+
+    return functools.reduce(jnp.add, map(one, beams))
