@@ -27,6 +27,7 @@ from jaxir.geometry._grading import graded_camera as graded_camera
 from jaxir.geometry._grid import Grid as Grid
 from jaxir.geometry._harmonics import degrees as degrees
 from jaxir.geometry._harmonics import harmonics as harmonics
+from jaxir.geometry._harmonics import rule_size as rule_size
 from jaxir.geometry._harmonics import sphere_rule as sphere_rule
 from jaxir.geometry._loops import bits as bits
 from jaxir.geometry._loops import for_each as for_each

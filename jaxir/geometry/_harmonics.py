@@ -42,6 +42,11 @@ def degrees(order: int) -> np.ndarray:
     return np.concatenate([np.full(2 * degree + 1, degree) for degree in range(order + 1)])
 
 
+def rule_size(degree: int) -> int:
+    """How many directions `sphere_rule` has."""
+    return 2 * (degree // 2 + 1) * (degree + 3)
+
+
 def sphere_rule(degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Directions [direction, 3] and weights [direction] [sr] of an integral over the sphere.
 

@@ -13,9 +13,10 @@ from scipy.special import eval_legendre
 
 import jaxir
 from jaxir import DiscreteOrdinates, Method
+from jaxir._arrays import as_float
 from jaxir.geometry import Eye, degrees, harmonics, sphere_rule
 from jaxir.optics.spectrum import gray_nodes
-from jaxir.transport import with_scattered
+from jaxir.transport import aimed, with_scattered
 from jaxir.transport.evaluation import _scattered
 from jaxir.transport.ordinates._medium import chosen_rays
 
@@ -171,10 +172,14 @@ def ball_in_the_sun(extinction, albedo):
     return scene, rays_through(2000, (0.0, -1.0, 0.0), width=2.2)
 
 
+BALL = DiscreteOrdinates(9, 9, 1)
+ball = functools.partial(ball_in_the_sun, 1.0, 0.1)
+
+
 def test_the_sun_in_cells_that_lie_along_its_light():
-    scene, rays = ball_in_the_sun(1.0, 0.1)
+    scene, rays = ball()
     known = look(scene, rays, Method(orders=2), jax.random.key(1)).mean()
-    found = look(scene, rays, Method(scattering=DiscreteOrdinates(9, 9, 1))).mean()
+    found = look(scene, rays, Method(scattering=BALL)).mean()
     np.testing.assert_allclose(found, known, rtol=0.012)  # -.02 where only the points themselves see the sun
 
 
@@ -185,7 +190,7 @@ def test_what_a_lattice_errs_in_cells_in_the_sun_is_told():
     sampled = Method(scattering=DiscreteOrdinates(9, 9, 1, orders=6))
     each = np.asarray([look(scene, rays, sampled, key).mean() for key in jax.random.split(jax.random.key(2), 6)])
     known, error = each.mean(), each.std(ddof=1) / np.sqrt(len(each))
-    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), Method(scattering=DiscreteOrdinates(9, 9, 1)))
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), Method(scattering=BALL))
     whole, rough, coarse, beams, pieces = (np.asarray(part).mean() for part in lacking(lit, rays))
     told = abs(coarse) + abs(beams) + pieces + abs(whole - rough)
     assert error < 0.003 * known < abs(whole - known) < told + 3 * error
@@ -196,6 +201,53 @@ def test_what_a_lattice_errs_in_cells_in_the_sun_is_told():
 def lacking(lit, rays):
     eye = Eye(jnp.zeros(3), -rays.direction[0], jnp.zeros(()))  # which they share
     return lit.medium.lacking(rays, eye)
+
+
+@eqx.filter_jit
+def to_an_eye(medium, aimed_one, rays):
+    """Radiance of rays by what was found once for an eye, with whether that serves; and without."""
+    far, dark = jnp.full(rays.count, jnp.inf), jnp.zeros((rays.count, 1))
+    serves = aimed_one.parts[0].aimed.serves(rays, jnp.ones(rays.count, bool))
+    return aimed_one.radiance(rays, far, dark), serves, medium.radiance(rays, far, dark)
+
+
+@pytest.mark.parametrize("made, method", [(in_the_sun, lattice(0)), (ball, Method(scattering=BALL))])
+def test_what_is_found_for_an_eye_is_what_its_rays_see(made, method):
+    """Other rays, and those whose directions turn by much between points of the lattice, are looked along one by one."""
+    scene, others = made()
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), method)
+    for distance, meets in ((np.inf, True), (5e3, True), (20.0, False), (None, False)):
+        camera = jaxir.fitted_camera(70.0, 20.0, scene.extent(), (8, 8), distance or np.inf)
+        screen = camera.half_size()[None] * as_float(np.random.default_rng(0).uniform(-1, 1, (2000, 2)))
+        rays = camera.bundle(screen, scene.start(camera)).rays() if distance else others
+        found, serves, known = to_an_eye(lit.medium, aimed(lit, camera).medium, rays)
+        assert bool(serves) is meets
+        np.testing.assert_allclose(found, known, rtol=1e-4, atol=2e-5 * float(known.max()))
+
+
+def test_derivatives_of_what_an_eye_sees():
+    """In the light and in the depth towards the sun, as without it, in both modes."""
+    scene, _ = in_the_sun()
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), lattice(0))
+    camera = jaxir.fitted_camera(70.0, 20.0, scene.extent(), (8, 8))
+    screen = camera.half_size()[None] * as_float(np.random.default_rng(0).uniform(-1, 1, (200, 2)))
+    rays = camera.bundle(screen, scene.start(camera)).rays()
+    parts = lambda lit: (lit.medium.parts[0].moments, lit.medium.parts[0].beams[0].depth)  # noqa: E731
+
+    @jax.jit
+    def both(values, along):
+        def mean(values, once):
+            own = eqx.tree_at(parts, lit, [x * value for x, value in zip(parts(lit), values, strict=True)])
+            own = aimed(own, camera) if once else own
+            return own.medium.radiance(rays, jnp.full(200, jnp.inf), jnp.zeros((200, 1))).mean()
+
+        each = [functools.partial(mean, once=once) for once in (True, False)]
+        return [(jax.grad(of)(values), jax.jvp(of, (values,), (along,))[1]) for of in each]
+
+    (reverse, forward), (known, _) = both(jnp.ones(2), jnp.array([1.0, 0.1]))
+    assert abs(known[1]) > 0.01 * abs(known[0]) > 0
+    np.testing.assert_allclose(reverse, known, rtol=1e-3)
+    np.testing.assert_allclose(forward, known @ jnp.array([1.0, 0.1]), rtol=1e-3)
 
 
 def test_an_image_tells_what_the_last_order_changed():

@@ -36,7 +36,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
 from jaxir._math import sum_before
-from jaxir.geometry import Rays, degrees, harmonics, sphere_rule
+from jaxir.geometry import Rays, degrees, harmonics, rule_size, sphere_rule
 from jaxir.geometry.search import any_hit, closest_hit
 from jaxir.medium import AbstractMedium, AbstractScatterer, merged_cuts, panel_points, panel_weights
 from jaxir.scene import Lit
@@ -174,8 +174,7 @@ def _require_that_it_fits(medium: AbstractMedium, ordinates: DiscreteOrdinates, 
     parts = medium.parts_with_particles
     counts = [part.lattice(ordinates.along, ordinates.across) for part in parts]
     points, splines = sum(map(math.prod, counts)), sum(FINER * count**2 for own in counts for count in own)
-    directions = (2 * ordinates.order + 2) * (2 * ordinates.order + 3)  # of the rule for twice the degree
-    need = directions * points * 2 * sum(map(_panels, parts)) * nodes * len(parts) + splines
+    need = rule_size(2 * ordinates.order) * points * 2 * sum(map(_panels, parts)) * nodes * len(parts) + splines
     if need > MOST:
         raise ValueError(
             f"DiscreteOrdinates: got {need:.2g} numbers to keep, expected at most {MOST:.2g}; take fewer points "
