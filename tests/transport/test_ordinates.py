@@ -213,7 +213,7 @@ def to_an_eye(medium, aimed_one, rays):
 
 @pytest.mark.parametrize("made, method", [(in_the_sun, lattice(0)), (ball, Method(scattering=BALL))])
 def test_what_is_found_for_an_eye_is_what_its_rays_see(made, method):
-    """Other rays, and those whose directions turn by much between points of the lattice, are looked along one by one."""
+    """Other rays, and those whose directions turn by much between the lattice's points, are looked along one by one."""
     scene, others = made()
     lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), method)
     for distance, meets in ((np.inf, True), (5e3, True), (20.0, False), (None, False)):
