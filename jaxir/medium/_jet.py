@@ -22,7 +22,7 @@ from jaxir._arrays import as_float
 from jaxir._math import frame_around
 from jaxir.geometry import Rays
 from jaxir.medium._active import for_active
-from jaxir.medium._jet_layers import BETWEEN, COMPUTED, KNOTS, across_panels, between_knots
+from jaxir.medium._jet_layers import BETWEEN, COMPUTED, KNOTS, across_panels, at_both, between_knots, both
 from jaxir.medium._jet_shape import Chord, JetShape, chords, gauss_points, panel_edges
 from jaxir.medium._medium import AbstractScatterer, Capsules, MediumOptics, less_forward, scattered_at
 from jaxir.optics import phi1
@@ -68,9 +68,9 @@ class JetMedium(AbstractScatterer):
 
         def along(chord: Chord) -> Array:
             def panel(depth: Array, points: tuple[Array, Array]) -> tuple[Array, None]:
-                (near, far), (near_length, far_length) = points
-                near, far = between_knots(self.extinction, near), between_knots(self.extinction, far)
-                return depth + (near * near_length[:, None] + far * far_length[:, None]), None
+                fraction, length = points
+                near, far = jnp.split(at_both(self.extinction, fraction) * both(length), 2)
+                return depth + near + far, None
 
             points = gauss_points(self.shape, chord)
             none = jnp.zeros((chord.cuts.shape[0], self.extinction.shape[1]), self.extinction.dtype)

@@ -42,21 +42,17 @@ def across_panels(
     are slow; and each is a computation of its own, because XLA would join the loops. A panel that none of the rays
     crosses, as the core behind its end, is left out.
     """
-    none = jnp.zeros_like(behind)
+    none = jnp.zeros((2 * behind.shape[0], behind.shape[1]), behind.dtype)
 
     def panel(radiance: Array, each: tuple[Array, Array]) -> tuple[Array, None]:
         fraction, length = each
         crossed = (length > 0).any()
 
         def look_up() -> list[Array]:
-            return [
-                between_knots(table, fraction[i]) * length[i][:, None]
-                for table in (extinction, emission)
-                for i in (0, 1)
-            ]
+            return [at_both(table, fraction) * both(length) for table in (extinction, emission)]
 
-        layers = [x.reshape(-1) for x in lax.cond(crossed, look_up, lambda: [none] * 4)]
-        return lax.cond(crossed, lambda: front_of_panel(radiance, *layers), lambda: radiance), None
+        depth, sent = (x.reshape(2, -1) for x in lax.cond(crossed, look_up, lambda: [none, none]))
+        return lax.cond(crossed, lambda: front_of_panel(radiance, *depth, *sent), lambda: radiance), None
 
     return lax.scan(panel, behind.reshape(-1), (fraction, length), reverse=True)[0].reshape(behind.shape)
 
@@ -66,7 +62,7 @@ def _across_panels_jvp(primals, tangents):
     """As the value, with factors for the tangents, which are found once for all of them."""
     behind, extinction, emission, fraction, length = primals
     d_behind, d_extinction, d_emission, d_fraction, d_length = tangents
-    none = jnp.zeros_like(behind)
+    none = jnp.zeros((2 * behind.shape[0], behind.shape[1]), behind.dtype)
 
     def panel(state: tuple[Array, Array], each: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
         radiance, change = state
@@ -74,18 +70,18 @@ def _across_panels_jvp(primals, tangents):
         crossed = (length > 0).any()
 
         def look_up() -> list[tuple[Array, Array]]:
-            return [(between_knots(table, f), _slope(table, f)) for table in (extinction, emission) for f in fraction]
+            return [(at_both(table, fraction), _slope(table, fraction.reshape(-1))) for table in (extinction, emission)]
 
-        found = lax.cond(crossed, look_up, lambda: [(none, none)] * 4)
-        halves, d_halves, d_places = ([x[i][:, None] for i in (0, 1, 0, 1)] for x in (length, d_length, d_fraction))
-        layers = [(value * half).reshape(-1) for (value, _), half in zip(found, halves, strict=True)]
+        found = lax.cond(crossed, look_up, lambda: [(none, none)] * 2)
+        half, d_half, d_place = map(both, (length, d_length, d_fraction))
+        layers = [layer for value, _ in found for layer in (value * half).reshape(2, -1)]
         passing = radiance, jnp.ones_like(radiance), [jnp.zeros_like(radiance)] * 4
         front, kept, factors = lax.cond(crossed, lambda: _factors(radiance, *layers), lambda: passing)
-        change = kept.reshape(none.shape) * change
-        for i, (value, slope) in enumerate(found):
-            table, place = (d_extinction, d_emission)[i // 2], fraction[i % 2]
-            moved = halves[i] * (between_knots(table, place) + slope * d_places[i]) + value * d_halves[i]
-            change = change + factors[i].reshape(none.shape) * moved
+        change = kept.reshape(change.shape) * change
+        for i, ((value, slope), table) in enumerate(zip(found, (d_extinction, d_emission), strict=True)):
+            moved = half * (at_both(table, fraction) + slope * d_place) + value * d_half
+            for factor, own in zip(factors[2 * i : 2 * i + 2], jnp.split(moved, 2), strict=True):
+                change = change + factor.reshape(change.shape) * own
         return (front, change), None
 
     panels = fraction, length, d_fraction, d_length
@@ -147,6 +143,16 @@ def _shift(near: Array, far: Array) -> tuple[Array, Array, Array]:
     steep = alike * (b - a)
     by_near, by_far = inverse * (b * (b - 2 * a) - a * steep), inverse * (a * (2 * b - a) - b * steep)
     return _EXTRAPOLATE * alike * (far - near), _EXTRAPOLATE * by_near, _EXTRAPOLATE * by_far
+
+
+def at_both(table: Float[Array, "knot node"], fraction: Float[Array, "2 ray"]) -> Float[Array, "both node"]:
+    """A table at both points of a panel, those of the first before those of the second: half the operations."""
+    return between_knots(table, fraction.reshape(-1))
+
+
+def both(value: Float[Array, "2 ray"]) -> Float[Array, "both 1"]:
+    """What rays have at both points, as `at_both` has it."""
+    return value.reshape(-1)[:, None]
 
 
 def between_knots(table: Float[Array, "knot node"], fraction: Float[Array, " ray"]) -> Float[Array, "ray node"]:
