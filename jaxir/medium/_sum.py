@@ -119,6 +119,23 @@ def radiance_between(
     return jnp.where(meets[:, None], found, behind)
 
 
+def mean_transmittance(medium: AbstractMedium, rays: Rays, cuts: Float[Array, "ray cut"]) -> Float[Array, "ray cut"]:
+    """Transmittance from the first of a ray's cuts to each of them, in the mean over the nodes [ray, cut].
+
+    By the middle of every piece.
+    """
+
+    def across(passed: Array, piece: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle, length = piece
+        left = passed * jnp.exp(-medium.coefficients(rays.at(middle))[0] * length[:, None])
+        return left, jnp.mean(left, axis=1)
+
+    pieces = ((cuts[:, 1:] + cuts[:, :-1]) / 2).T, jnp.diff(cuts).T
+    nodes = jax.eval_shape(medium.coefficients, rays.origin)[0].shape[1]
+    left = lax.scan(across, jnp.ones((rays.count, nodes), cuts.dtype), pieces)[1].T
+    return jnp.concatenate([jnp.ones_like(left[:, :1]), left], axis=1)
+
+
 def merged_cuts(each: Sequence[Float[Array, "ray _cut"]]) -> Float[Array, "ray cut"]:
     """The cuts of several media along the same rays in order; equal on a miss."""
     met = [cuts[:, :1] < cuts[:, -1:] for cuts in each]

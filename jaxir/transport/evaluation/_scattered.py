@@ -45,7 +45,7 @@ def aimed(lit: Lit, camera: Camera) -> Lit:
     """A scene with its scattered light, see `with_scattered`, ready for many rays of a camera."""
     if not isinstance(lit.medium, Scattered):
         return lit
-    return eqx.tree_at(lambda lit: lit.medium, lit, lit.medium.aimed_at(camera.eye), is_leaf=lambda x: x is lit.medium)
+    return eqx.tree_at(lambda lit: lit.medium, lit, lit.medium.aimed_at(camera.eye))
 
 
 def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
@@ -87,11 +87,11 @@ def _posed(lit: Lit, method: Method) -> Posed:
     assert method.scattering is not None
     alone = dataclasses.replace(method, orders=0, scattering=dataclasses.replace(method.scattering, orders=0))
 
-    def arriving(lit: Lit, rays: Rays) -> Array:
+    def arriving(lit: Lit, rays: Rays) -> tuple[Array, Array]:
         paths = trace(lit.scene, rays, alone, jax.random.key(0))
         around = jnp.ones(paths.length.shape, bool) if paths.first.sees_surroundings is None else None
         segment = dataclasses.replace(paths.first, sees_surroundings=around)
-        return brings(lit, paths, segment, False, True)
+        return brings(lit, paths, segment, False, True), paths.length
 
     return posed(lit, method.scattering, arriving)
 

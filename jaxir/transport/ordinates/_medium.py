@@ -22,6 +22,7 @@ from jaxir.medium import (
     AbstractScatterer,
     Capsules,
     for_active,
+    mean_transmittance,
     panel_points,
     panel_weights,
     radiance_between,
@@ -65,7 +66,8 @@ class Scattered(AbstractMedium):
     ) -> Float[Array, "ray node"]:
         """See `AbstractMedium.radiance`, of emission and scattered light."""
         cuts = self._pieces(rays, t_max)
-        served = [part.aimed and part.aimed.serves(rays, cuts[:, 0] < cuts[:, -1]) for part in self.parts]
+        meets = cuts[:, 0] < cuts[:, -1]
+        served = [None if part.aimed is None else part.aimed.serves(rays, meets) for part in self.parts]
         return self._between(cuts, rays, behind, served)
 
     def aimed_at(self, eye: Eye) -> Scattered:
@@ -79,15 +81,7 @@ class Scattered(AbstractMedium):
         The medium is smooth between its cuts, scattered light need not be: along a jet's core it fades with depth.
         """
         cuts = self.cuts(rays, t_max)
-
-        def across(passed: Array, piece: tuple[Array, Array]) -> tuple[Array, Array]:
-            middle, length = piece
-            left = passed * jnp.exp(-self.medium.coefficients(rays.at(middle))[0] * length[:, None])
-            return left, jnp.mean(left, axis=1)
-
-        whole = jnp.ones((rays.count, self.nodes), cuts.dtype)
-        left = lax.scan(across, whole, (((cuts[:, 1:] + cuts[:, :-1]) / 2).T, jnp.diff(cuts).T))[1].T
-        left = jnp.concatenate([jnp.ones_like(left[:, :1]), left], axis=1)
+        left = mean_transmittance(self.medium, rays, cuts)
         wanted = 1 - as_float((np.arange(MORE) + 0.5) / MORE)[None] * (1 - left[:, -1:])
         depth, at = (-jnp.log(jnp.maximum(x, jnp.finfo(x.dtype).tiny)) for x in (left, wanted))
         return jnp.sort(jnp.concatenate([cuts, jax.vmap(jnp.interp)(at, depth, cuts)], axis=1), axis=1)
@@ -117,10 +111,10 @@ class Scattered(AbstractMedium):
         return self.parts[0].moments.shape[2]
 
     def lacking(self, rays: Rays, eye: Eye) -> tuple[Float[Array, "ray node"], ...]:
-        """What rays of an eye see of the plumes alone, also with fewer harmonics, and what else that may lack.
+        """What rays of an eye, of that at which it is aimed if it is, see of the plumes, and what that may lack.
 
-        Radiances [ray, node]: as by `Told`, summed along the rays, and `SLOW` times what changes as every piece of a
-        ray is halved. Where what the lattice errs is sampled, that is all of it.
+        Radiances [ray, node]: those of `Told` summed along rays, and `SLOW` times what changes as every piece of a ray
+        is halved. Where what the lattice errs is sampled, that is all of it.
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
@@ -285,8 +279,8 @@ def chosen_rays(part: Part, camera: Camera, start: Float[Array, ""]) -> tuple[Ra
 def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     """Share of the intensity of plumes in a camera's image that the lattice lacks [band].
 
-    It is what `Scattered.lacking` sees, and what changed from fewer harmonics to those there are. None where nothing
-    was solved for. What is in front of plumes is not looked for.
+    It is what `Scattered.lacking` sees from there, and what changed from fewer harmonics to those there are. None where
+    nothing was solved for. What is in front of plumes is not looked for.
     """
     if not isinstance(lit.medium, Scattered):
         return None

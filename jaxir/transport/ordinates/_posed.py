@@ -32,13 +32,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxir._arrays import as_float
 from jaxir._math import sum_before
 from jaxir.geometry import Rays, degrees, harmonics, rule_size, sphere_rule
-from jaxir.geometry.search import any_hit, closest_hit
-from jaxir.medium import AbstractMedium, AbstractScatterer, merged_cuts, panel_points, panel_weights
+from jaxir.geometry.search import any_hit
+from jaxir.medium import (
+    AbstractMedium,
+    AbstractScatterer,
+    mean_transmittance,
+    merged_cuts,
+    panel_points,
+    panel_weights,
+)
 from jaxir.scene import Lit
 from jaxir.transport._method import DiscreteOrdinates
 from jaxir.transport.ordinates._lattice import FINER, Between, Lattice, about, beside, lattice_of, places
@@ -102,13 +109,14 @@ class Posed(NamedTuple):
     scale: Array
 
 
-def posed(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays], Array]) -> Posed:
+def posed(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays], tuple[Array, Array]]) -> Posed:
     """The equations of the light in the plumes of a scene.
 
     Args:
         lit: the scene on the nodes.
         ordinates: how finely.
-        arriving: radiance at the origins of rays in a scene whose particles do not scatter [ray, node].
+        arriving: radiance at the origins of rays in a scene whose particles do not scatter [ray, node], and how far
+            they go [ray] [m].
 
     Raises:
         ValueError: more numbers than `MOST` would be kept.
@@ -136,9 +144,9 @@ def posed(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays]
 
     def ahead(total: Array, own: tuple[Array, Array]) -> tuple[Array, list[tuple[Between, Array]]]:
         rays = Rays(point, jnp.broadcast_to(-own[0], point.shape))
-        came = own[1][None, :, None] * arriving(lit, rays)[:, None]
-        steps = _ahead(medium, list(zip(parts, lattices, strict=True)), rays, _length(lit, rays))
-        return total + came, [(between, grouped(passed)) for between, passed in steps]
+        came, length = arriving(lit, rays)
+        steps = _ahead(medium, list(zip(parts, lattices, strict=True)), rays, length)
+        return total + own[1][None, :, None] * came[:, None], [(between, grouped(passed)) for between, passed in steps]
 
     none = jnp.zeros((point.shape[0], by_direction.shape[1], nodes), point.dtype)
     unscattered, routes = lax.scan(ahead, none, (direction, by_direction))
@@ -190,13 +198,6 @@ def _moments(medium: AbstractScatterer, order: int, nodes: int) -> Moments:
     return Moments(forward, rest[degrees(order)], chi[degrees(order)], jnp.max(jnp.abs(rest[-1])))
 
 
-def _length(lit: Lit, rays: Rays) -> Float[Array, " ray"]:
-    """How far rays from the lattice go [ray] [m]."""
-    if lit.scene.skin is None:
-        return jnp.full(rays.count, jnp.inf, rays.origin.dtype)
-    return closest_hit(lit.scene.skin.mesh, lax.stop_gradient(rays)).t
-
-
 def _panels(part: AbstractScatterer) -> int:
     """Panels of a ray through a part: where they do not end where the medium jumps, shorter ones err less."""
     return PANELS if part.smooth else 2 * PANELS
@@ -216,10 +217,7 @@ def _ahead(
         even = as_float(np.arange(PROBED * panels + 1) / (PROBED * panels))
         near = even**2
         t = cuts[:, :1] + (cuts[:, -1:] - cuts[:, :1]) * near[None]
-        middle = rays.at((t[:, 1:] + t[:, :-1]) / 2).reshape(-1, 3)
-        extinction = medium.coefficients(middle)[0].reshape(rays.count, PROBED * panels, -1)
-        passed = jnp.exp(-jnp.cumsum(extinction * jnp.diff(t)[..., None], axis=1))
-        hidden = jnp.concatenate([jnp.zeros_like(t[:, :1]), jnp.mean(1 - passed, axis=2)], axis=1)
+        hidden = 1 - mean_transmittance(medium, rays, t)
         most = hidden[:, -1:]
         share = (hidden / jnp.where(most > 0, most, 1) + even[None]) / 2
         wanted = share[:, -1:] * as_float(np.arange(panels + 1) / panels)[None]
