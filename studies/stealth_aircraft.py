@@ -396,7 +396,7 @@ def conclusions(tables: Tables, side: dict[str, Side]) -> list[str]:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--quick", action="store_true", help="few aspects and nodes: some three minutes")
+    parser.add_argument("--quick", action="store_true", help="few aspects and nodes: two to three minutes")
     parser.add_argument("--mesh", help="your own mesh (STL, OBJ, PLY, GLB), nose along +x, z up")
     parser.add_argument("--unit", choices=list(METRES), help="length unit of --mesh (required with it)")
     parser.add_argument("--temperature", type=float, default=255.0, help="skin temperature of --mesh [K] (%(default)s)")

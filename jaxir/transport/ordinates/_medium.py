@@ -121,9 +121,10 @@ class Scattered(AbstractMedium):
         parts = (self if self.parts[0].aimed is not None else self.aimed_at(eye)).parts
         sampled = parts[0].doubt is None
 
-        def plainly(point: Array) -> tuple[Array, list[Array]]:
+        def plainly(rays: Rays, t: Array) -> tuple[Array, Array]:
+            point = rays.at(t)
             extinction, emission = self.medium.coefficients(point)
-            return extinction, [sum((part.sent(point) for part in parts), emission)]
+            return extinction, sum((part.sent(point) for part in parts), emission)
 
         def told(point: Array) -> tuple[Array, list[Array]]:
             extinction, emission = self.medium.coefficients(point)
@@ -135,11 +136,11 @@ class Scattered(AbstractMedium):
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
         if sampled:
-            whole = summed(halved, rays, plainly)[0]
+            whole = radiance_between(halved, rays, dark, plainly)
             found = Told(whole, whole, dark, dark)
         else:
             found = Told(*summed(halved, rays, told))
-        return *found, SLOW * jnp.abs(found.whole - summed(cuts, rays, plainly)[0])
+        return *found, SLOW * jnp.abs(found.whole - radiance_between(cuts, rays, dark, plainly))
 
     def expected(
         self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"], omega: Float[Array, "ray 3"]

@@ -224,7 +224,8 @@ class Part(eqx.Module):
             for beam, lobe, halo in zip(self.beams, aimed.lobes, aimed.halos, strict=True):
                 irradiance, lobe, change = beam.passing(between, point), between.read(lobe), between.read(halo)
                 straight = straight + irradiance * lobe / self.kept[None]
-                doubt = doubt + (SPREAD * irradiance * change + beam.doubtful(between, point) * lobe) / self.kept[None]
+                less = SPREAD * irradiance * change + beam.doubtful(between, point) * (lobe - change)
+                doubt = doubt + less / self.kept[None]
             whole, rough, reading = (between.read(x) for x in (aimed.light, aimed.rough, aimed.reading))
             return Told(*(scattering * each for each in (whole + straight, rough + straight, reading, doubt)))
 
