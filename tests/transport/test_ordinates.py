@@ -225,6 +225,16 @@ def test_what_is_found_for_an_eye_is_what_its_rays_see(made, method):
         np.testing.assert_allclose(found, known, rtol=1e-4, atol=2e-5 * float(known.max()))
 
 
+@pytest.mark.parametrize("away, narrow", [(5.0, False), (5e3, True)])
+def test_lobes_of_lamps_nearby_are_looked_up_along_rays(away, narrow):
+    lamp = jaxir.PointSource((0.0, 0.0, away), 50.0)
+    lit = with_scattered(
+        jaxir.Scene(None, box(1.0, 0.9, jaxir.Isotropic()), lamp).on(gray_nodes((jaxir.MWIR,))), COARSE
+    )
+    ready = aimed(lit, jaxir.orthographic_camera(0, 0, 0.3, (8, 8))).medium
+    assert bool(ready.parts[0].aimed.narrow) is narrow
+
+
 def test_derivatives_of_what_an_eye_sees():
     """In the light and in the depth towards the sun, as without it, in both modes."""
     scene, _ = in_the_sun()

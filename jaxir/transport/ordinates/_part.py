@@ -5,8 +5,8 @@
 All rays of an eye have one direction w through a point. So what depends on directions, the first sum and lobes, can be
 found once for every point that is read and interpolated as moments are; rays of the eye then need neither harmonics nor
 lobes, which are most of the time. Depths towards sources are interpolated before they are exponents in any case.
-Directions turn between neighbours, by which a harmonic of degree l errs l (l + 1) / 16 of the squared angle: `NARROW`
-is the largest.
+Directions to the eye, and to sources, turn between neighbours, by which a harmonic of degree l errs l (l + 1) / 16 of
+the squared angle: `NARROW` is the largest.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._halo import Halo
 from jaxir.transport.ordinates._lattice import Between, about, places
 
-NARROW = 5e-3  # between directions from neighbours to an eye [rad]; harmonics of degree 3 err 2e-5
+NARROW = 5e-3  # between directions from neighbours to an eye or a source [rad]; harmonics of degree 3 err 2e-5
 ALIKE = 1e-4  # between a ray's direction and that from its origin to an eye in which it is taken to meet others
 SPREAD = 0.05  # of what halos change, which is right where angles are small
 POINTS = 32  # of a ray at which it is seen how bright it is
@@ -85,7 +85,7 @@ class Aimed(NamedTuple):
 
     Attributes:
         eye: the eye.
-        narrow: whether it is so far away that neighbours see it in nearly one direction.
+        narrow: whether it and all sources are so far away that neighbours see each in nearly one direction.
         light: the first sum [read, node].
         rough: that of `Doubt.rough`; None where what the lattice errs is sampled.
         reading: and of `Doubt.reading`.
@@ -181,15 +181,16 @@ class Part(eqx.Module):
         def turned(own: tuple[Array, Array]) -> Array:
             return jnp.concatenate(self._turned(*own), axis=1)
 
-        def turned_of(beam: Beam) -> tuple[Array, Array]:
+        def turned_of(beam: Beam, omega: Array) -> tuple[Array, Array]:
             # in a loop, so that what is used twice is not kept number by number of the tables
-            own, every = (dot(beam.toward(point), -toward), beam.forward), jnp.ones(len(point), bool)
+            own, every = (dot(omega, -toward), beam.forward), jnp.ones(len(point), bool)
             lobe, change = jnp.split(for_active(turned, every, own, 2 * self.kept.shape[0]), 2, axis=1)
             return beam.seen * (lobe + change), beam.seen * change
 
-        lit = [turned_of(beam) for beam in self.beams]
-        each = lax.stop_gradient(toward).reshape(*self.counts, 3)
-        apart = [jnp.max(jnp.sum(jnp.diff(each, axis=axis) ** 2, axis=-1)) for axis in range(3)]
+        omegas = [beam.toward(point) for beam in self.beams]
+        lit = [turned_of(*each) for each in zip(self.beams, omegas, strict=True)]
+        each = [lax.stop_gradient(x).reshape(*self.counts, 3) for x in (toward, *omegas)]
+        apart = [jnp.max(jnp.sum(jnp.diff(x, axis=axis) ** 2, axis=-1)) for x in each for axis in range(3)]
         return Aimed(
             eye,
             jnp.max(jnp.stack(apart)) < NARROW**2,
