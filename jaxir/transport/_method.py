@@ -95,8 +95,9 @@ class DiscreteOrdinates(Physical):
     more than once, is that of small angles: through cubes .3 and 1 deep (asymmetry .8 and .95) it errs by .1 to 1 %
     towards the source, where .5 to 4 % are told, and by up to 3 % ten to forty degrees beside it, where .1 to 3 %
     are.
-    Costs some 15 times along across^2 (2 order + 2) (2 order + 3) rays once for a scene, twice that on a grid, and a
-    few times more for a ray than a plume without particles.
+    Costs some 15 times along across^2 (2 order + 2) (2 order + 3) rays once for a scene, twice that on a grid, and for
+    a ray some ten times what a plume without particles costs, where rays meet in an eye that is far away beside the
+    lattice's steps (sources, too), else twenty.
 
     With `orders` what the lattice errs is sampled instead of told: paths are scattered so often at most, and where a
     path is scattered the light that it finds stands in the place of what the lattice says of the same place and
