@@ -169,7 +169,8 @@ class Part(eqx.Module):
     # To an eye --------------------------------------------------------------------------------------------------------
 
     def sent_to(self, eye: Eye) -> Aimed:
-        """What it sends to an eye."""
+        """What it sends to an eye. Differentiable in the part, not in where the eye is, as rays are not."""
+        eye = lax.stop_gradient(eye)
         point = self.medium.from_cube(as_float(places(self.counts)))
         toward = eye.toward(point)
         lobes = harmonics(toward, self._order)
