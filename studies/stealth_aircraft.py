@@ -65,18 +65,16 @@ class Effort:
     bins: tuple[float, int, int]  # width [cm-1], quantiles, quantiles per gas where two overlap
     depth: int  # largest number of reflections; 10 in Table 3
     error: float  # standard error of an intensity at most, as a share of it
-    points: int  # of the lattice of scattered light along the plume
-    orders: int  # of scattering in which what the lattice errs is sampled
+    points: tuple[int, int]  # of the lattice of scattered light along the plume and across it
 
     @property
     def method(self) -> jaxir.Method:
         """What particles scatter is solved for: however often, and without noise."""
-        ordinates = jaxir.DiscreteOrdinates(along=self.points, across=9, orders=self.orders)
-        return jaxir.Method(bounces=self.depth, scattering=ordinates)
+        return jaxir.Method(bounces=self.depth, scattering=jaxir.DiscreteOrdinates(*self.points))
 
 
-FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10, error=0.02, points=41, orders=0)
-QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6, error=1.0, points=41, orders=0)
+FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10, error=0.02, points=(41, 13))
+QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6, error=1.0, points=(41, 9))
 
 
 def exhaust(given: Conditions) -> tuple[jaxir.NarrowBandGas, float]:

@@ -141,11 +141,13 @@ class Camera(eqx.Module):
     ) -> tuple[Float[Array, "ray 2"], Float[Array, " ray"]]:
         """Screen points spread evenly over the rectangle about projected points inside the frame, and their weights.
 
-        There are side^2 of them [m]; sum weight L is what lies in the rectangle of I = sum L dA / (1 + tan^2)^2 [m2].
+        There are side^2 of them [m], side being a power of 2; those that follow one another are near one another.
+        sum weight L is what lies in the rectangle of I = sum L dA / (1 + tan^2)^2 [m2].
         """
         low, high = self.rectangle(outline)
-        grid = (np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) + 0.5) / side
-        screen = low[None] + (high - low)[None] * as_float(grid)
+        place = np.arange(side**2)[:, None] >> np.arange(2)[None]  # bits of columns and rows take turns
+        cell = sum(((place >> 2 * bit) & 1) << bit for bit in range(side.bit_length() - 1))
+        screen = low[None] + (high - low)[None] * as_float((cell + 0.5) / side)
         return screen, jnp.prod(high - low) / side**2 / self.slant(screen) ** 2
 
     def _raster(self, tile: Int[Array, " tile"]) -> tuple[Int[Array, "tile pixel"], Int[Array, "tile pixel"]]:

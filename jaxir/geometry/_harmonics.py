@@ -44,21 +44,26 @@ def degrees(order: int) -> np.ndarray:
 
 def rule_size(degree: int) -> int:
     """How many directions `sphere_rule` has."""
-    return 2 * (degree // 2 + 1) * (degree + 3)
+    return 2 * (degree // 2 + 1) * _azimuths(degree)
 
 
 def sphere_rule(degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Directions [direction, 3] and weights [direction] [sr] of an integral over the sphere.
 
     Gauss-Legendre in the cosine of the polar angle, on either side of 0 by itself, so that light may differ between
-    above and below as that at a flat body's surface does; times equal steps of azimuth. Exact for harmonics up to
-    `degree`.
+    above and below as that at a flat body's surface does; times equal steps of azimuth, alike in all quarters and off
+    the planes between them, along which the sides of cells may lie. Exact for harmonics up to `degree`.
     """
     share, weight = gauss_legendre(degree // 2 + 1)
     cosine, weight = np.concatenate([-share[::-1], share]), np.concatenate([weight[::-1], weight])
-    count = degree + 3
+    count = _azimuths(degree)
     azimuth = (np.arange(count) + 0.5) * 2 * np.pi / count
     sine = np.sqrt(1 - cosine**2)
     z = np.broadcast_to(cosine[:, None], (len(cosine), count))
     direction = np.stack([sine[:, None] * np.cos(azimuth), sine[:, None] * np.sin(azimuth), z], axis=-1)
     return direction.reshape(-1, 3), np.repeat(weight * 2 * np.pi / count, count)
+
+
+def _azimuths(degree: int) -> int:
+    """Steps of azimuth: more than degree, and as many in each quarter."""
+    return 4 * (degree // 4 + 1)

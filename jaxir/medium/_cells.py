@@ -96,6 +96,11 @@ class CellMedium(AbstractScatterer):
         return (point - self.grid.origin[None]) / self.grid.size[None]
 
     @property
+    def frame(self) -> Float[Array, "3 3"]:
+        """See `AbstractScatterer.frame`: the edges of the cells."""
+        return as_float(np.eye(3))
+
+    @property
     def smooth(self) -> bool:
         """See `AbstractScatterer.smooth`: it jumps from cell to cell."""
         return False

@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -106,9 +106,9 @@ class JetMedium(AbstractScatterer):
         return jnp.where((fraction > 0)[:, None], between_knots(self.scattering_coefficient, fraction), 0)
 
     def from_cube(self, place: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
-        """See `AbstractScatterer.from_cube`: along the axis even in ln(z + d / 2), across it as wide as the jet."""
+        """See `AbstractScatterer.from_cube`: along the axis by `_Stations`, across it as wide as the jet."""
         shape, (u, v, w) = self.shape, frame_around(self.shape.direction)
-        z = shape.stations(place[:, 0])
+        z = self._stations().place(place[:, 0])
         across = shape.edge(z)[:, None] * (2 * place[:, 1:] - 1)
         return shape.nozzle[None] + z[:, None] * w[None] + across[:, :1] * u[None] + across[:, 1:] * v[None]
 
@@ -116,9 +116,20 @@ class JetMedium(AbstractScatterer):
         """See `AbstractScatterer.to_cube`."""
         shape = self.shape
         x, y, z = (frame_around(shape.direction) @ (point - shape.nozzle[None]).T).astype(point.dtype)
-        lip, z = shape.diameter / 2, jnp.maximum(z, 0)
-        along = jnp.log1p(z / lip) / jnp.log1p(shape.end / lip)
-        return jnp.stack([along, (x / shape.edge(z) + 1) / 2, (y / shape.edge(z) + 1) / 2], axis=1)
+        z = jnp.clip(z, 0, shape.end)
+        return jnp.stack([self._stations().share(z), (x / shape.edge(z) + 1) / 2, (y / shape.edge(z) + 1) / 2], axis=1)
+
+    def _stations(self) -> _Stations:
+        """Stations for light, which enters the cut at the jet's end as far as it passes there."""
+        shape = self.shape
+        knot = jnp.round(shape.mixture_fraction(shape.end, jnp.zeros_like(shape.end)) * KNOTS).astype(jnp.int32)
+        thick = lax.stop_gradient(jnp.max(self.extinction[knot]))
+        return _Stations(shape.diameter / 2, 1 / jnp.maximum(thick, 1 / shape.end), shape.end)
+
+    @property
+    def frame(self) -> Float[Array, "3 3"]:
+        """See `AbstractScatterer.frame`: about the jet's axis."""
+        return frame_around(self.shape.direction)
 
     @property
     def smooth(self) -> bool:
@@ -156,6 +167,32 @@ class JetMedium(AbstractScatterer):
         emitted = self.emission[knot] * escaping * volume[..., None]
         ends = shape.nozzle[None, None] + jnp.stack([low, high], axis=1)[:, :, None] * shape.direction[None, None]
         return Capsules(jnp.repeat(ends, RINGS, axis=0), outer.reshape(-1), emitted.reshape(STATIONS * RINGS, -1))
+
+
+class _Stations(NamedTuple):
+    """Distances z from a nozzle, even in ln((z + begins) / (end + ends - z)): crowded at both ends, by what they are.
+
+    Attributes:
+        begins: length on which light changes at the nozzle [m].
+        ends: and at the jet's end [m].
+        end: where that is [m].
+    """
+
+    begins: Float[Array, ""]
+    ends: Float[Array, ""]
+    end: Float[Array, ""]
+
+    def share(self, z: Float[Array, " point"]) -> Float[Array, " point"]:
+        """Share of the stations before distances z, from 0 to `end`."""
+        return (jnp.log1p(z / self.begins) - jnp.log1p(-z / (self.end + self.ends))) / self._all()
+
+    def place(self, share: Float[Array, " point"]) -> Float[Array, " point"]:
+        """Its inverse."""
+        grown = jnp.expm1(share * self._all())
+        return grown / (1 / self.begins + (1 + grown) / (self.end + self.ends))
+
+    def _all(self) -> Float[Array, ""]:
+        return jnp.log1p(self.end / self.begins) + jnp.log1p(self.end / self.ends)
 
 
 def tabulated_jet(

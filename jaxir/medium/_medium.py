@@ -149,6 +149,11 @@ class AbstractScatterer(AbstractMedium):
 
     @property
     @abc.abstractmethod
+    def frame(self) -> Float[Array, "3 3"]:
+        """Rows are directions about which light in it is most alike, of unit length; the last is its axis."""
+
+    @property
+    @abc.abstractmethod
     def smooth(self) -> bool:
         """Whether it varies smoothly between its bounds."""
 

@@ -86,9 +86,11 @@ class DiscreteOrdinates(Physical):
     However often light is scattered: no order is left out, and images have no noise of it. What errs instead is the
     lattice, by about a per cent of the scattered light, and the harmonics, by up to some per cent of what little a
     jet sends along its own axis. `Image.truncation` estimates both view by view: the harmonics by a second solution
-    with two degrees fewer, most often too much, the lattice by half of what changes in a third that is read between
-    the points by other splines, by all of it where cells jump. In the sun blocks of cells of very different density
-    err up to twice what is told where the lattice has fewer points than there are cells. An optical depth of
+    with two degrees fewer, most often too much, the lattice by a quarter of what changes in a third that is read
+    between the points by straight lines, by twice of it where cells jump, at all points alike in sign. Less than half
+    of what errs is told where light changes by half from point to point, as across a jet on 5 points. In the sun
+    blocks of cells of very different density err up to twice what is told where the lattice has fewer points than
+    there are cells. An optical depth of
     scattering above 4 between points across a plume, or a lobe backward that the harmonics do not resolve, is
     refused. Shadows of the skin on the plume are as sharp as the lattice, and what scattered light skin reflects
     back into the plume is left out. Near the direction of a source without extent its halo, light scattered forward

@@ -27,31 +27,33 @@ class Lattice(NamedTuple):
         solved: how many along each edge.
         read: how many along each edge.
         cubics: see `_cubic`, of each edge.
-        plain: the same without what is taken from the values.
+        lines: the same where lines are drawn between the points that are solved for alone.
     """
 
     solved: tuple[int, int, int]
     read: tuple[int, int, int]
     cubics: tuple[np.ndarray, ...]
-    plain: tuple[np.ndarray, ...]
+    lines: tuple[np.ndarray, ...]
 
 
 def lattice_of(medium: AbstractScatterer, ordinates: DiscreteOrdinates) -> Lattice:
     solved = medium.lattice(ordinates.along, ordinates.across)
-    cubics, plain = (tuple(_cubic(count, taken) for count in solved) for taken in (1.0, 0.0))
+    cubics, lines = (tuple(_cubic(count, finer) for count in solved) for finer in (FINER, 1))
     read = tuple(len(matrix) for matrix in cubics)
-    return Lattice(solved, (read[0], read[1], read[2]), cubics, plain)
+    return Lattice(solved, (read[0], read[1], read[2]), cubics, lines)
 
 
-def _cubic(count: int, taken: float = 1.0) -> np.ndarray:
+def _cubic(count: int, finer: int) -> np.ndarray:
     """What is read between `count` even points from values at them [read, solved], by a cubic spline.
 
     Straight lines between values of a curve lie beside it by h^2 / 12 of its second derivative in the mean, h being
-    their length; they are drawn between values from which this, or a share of it, is taken, so that sums along rays err
-    less.
+    their length; they are drawn between values from which this is taken, so that sums along rays err less. Lines begin
+    at `finer` places for each of the points.
     """
-    spline, place = _spline(count), np.arange(FINER * (count - 1) + 1) / FINER
-    return spline(place) - taken * spline(place, nu=2) / (12 * FINER**2)
+    spline, place = _spline(count), np.arange(finer * (count - 1) + 1) / finer
+    values = spline(place) - spline(place, nu=2) / (12 * finer**2)
+    read = np.arange(FINER * (count - 1) + 1) / FINER
+    return np.stack([np.interp(read, place, one) for one in values.T], axis=1)
 
 
 def _spline(count: int) -> BSpline:

@@ -36,7 +36,7 @@ SOLVED = 2e-5  # residual of a solution at most
 THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
-MORE = 8  # cuts of a ray where light that reaches it comes from
+MORE = 12  # cuts of a ray where light that reaches it comes from
 SIDE = 64  # of the grid of rays of which those are chosen on which an image's error is found
 CHOSEN = 256  # of them
 

@@ -72,8 +72,8 @@ class Doubt(NamedTuple):
 
     Attributes:
         rough: what they were if there were fewer harmonics [read, few, node].
-        reading: how much of what changes as the lattice is read by `Lattice.plain` they may err [read, few, node]:
-            half of it, all where the medium jumps.
+        reading: how much they may err by how the lattice is read, with signs [read, few, node]: a quarter of what
+            changes as it is read by `Lattice.lines`, twice of it where the medium jumps.
     """
 
     rough: Float[Array, "read few node"]
@@ -108,7 +108,7 @@ class Aimed(NamedTuple):
 
 
 class Told(NamedTuple):
-    """J [ray, node], J of fewer harmonics, and what J may err by how the lattice is read and by beams, with signs."""
+    """J [ray, node], J of fewer harmonics, and what J may err by how the lattice is read, and by beams, with signs."""
 
     whole: Float[Array, "ray node"]
     rough: Float[Array, "ray node"]
@@ -229,7 +229,7 @@ class Part(eqx.Module):
                 less = SPREAD * irradiance * change + beam.doubtful(between, point) * (lobe - change)
                 doubt = doubt + less / self.kept[None]
             whole, rough, reading = (between.read(x) for x in (aimed.light, aimed.rough, aimed.reading))
-            return Told(*(scattering * each for each in (whole + straight, rough + straight, reading, doubt)))
+            return Told(*(scattering * each for each in (whole + straight, rough + straight, jnp.abs(reading), doubt)))
 
         return _where_some(scattering, told)
 

@@ -132,7 +132,7 @@ def posed(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays]
     lit = eqx.tree_at(lambda lit: lit.medium, lit, medium)
     parts, lattices = medium.parts_with_particles, lattices_of(medium, ordinates)
     point = jnp.concatenate([p.from_cube(as_float(places(x.solved))) for p, x in zip(parts, lattices, strict=True)])
-    direction, _, by_direction = rule(order)
+    direction, _, by_direction = rule(order, medium)
 
     groups = -(-nodes // TOGETHER)
 
@@ -171,9 +171,13 @@ def lattices_of(medium: AbstractMedium, ordinates: DiscreteOrdinates) -> list[La
     return [lattice_of(part, ordinates) for part in medium.parts_with_particles]
 
 
-def rule(order: int) -> tuple[Array, Array, Array]:
-    """Directions to the lattice's points [direction, 3], their harmonics [direction, harmonic], and with weights."""
+def rule(order: int, medium: AbstractMedium) -> tuple[Array, Array, Array]:
+    """Directions to the lattice's points [direction, 3], their harmonics [direction, harmonic], and with weights.
+
+    They lie about the first part's axis: light of a narrow jet comes along it or across.
+    """
     direction, weight = (as_float(x) for x in sphere_rule(2 * order))
+    direction = direction @ lax.stop_gradient(medium.parts_with_particles[0].frame)
     lobes = harmonics(direction, order)
     return direction, lobes, weight[:, None] * lobes
 

@@ -31,11 +31,12 @@ from jaxir.transport.ordinates._posed import Moments, Posed, lattices_of, rule
 CLOSE = {"float32": 2e-6, "float64": 1e-8}
 MOST_STEPS = 200
 FEWER = 2  # degrees of the solution that shows what harmonics do
+FINE, JUMPS = 0.25, 2.0  # times the change by `Lattice.lines` that moments err where a medium is smooth, and else
 CLOSE_OF_OTHERS = 1e-4  # residual at which those end that show what the lattice errs
 
 
 class Solution(NamedTuple):
-    """L_lm [some, point, harmonic, node] as it is, with fewer harmonics, and read as by `Lattice.plain`; what it lacks.
+    """L_lm [some, point, harmonic, node] as it is, with fewer harmonics, and read as by `Lattice.lines`; what it lacks.
 
     Where what the lattice errs is sampled, the first alone.
     """
@@ -47,7 +48,7 @@ class Solution(NamedTuple):
 def solution(given: Posed, ordinates: DiscreteOrdinates, group: Int[Array, ""]) -> Solution:
     """The solution of one of the groups of equations."""
     own = jax.tree.map(lambda leaf: leaf[group], given.groups)
-    lattices, (_, lobes, by_direction) = lattices_of(given.medium, ordinates), rule(ordinates.order)
+    lattices, (_, lobes, by_direction) = lattices_of(given.medium, ordinates), rule(ordinates.order, given.medium)
 
     def transported(light: list[Array], rest: list[Array], readers: Sequence[Callable]) -> Array:
         """K of light [point, harmonic, node].
@@ -75,7 +76,7 @@ def solution(given: Posed, ordinates: DiscreteOrdinates, group: Int[Array, ""]) 
     count = 1 if ordinates.orders > 0 else 3  # where what the lattice errs is sampled, it is not told
     kept, first = as_float(np.stack([every, fewer, every][:count])), as_float(np.array([1, 0, 0][:count]))
     close = as_float(np.array([CLOSE[str(lobes.dtype)], CLOSE_OF_OTHERS, CLOSE_OF_OTHERS][:count]))
-    ways = [[as_float(np.stack([c, c, p][:count])) for c, p in zip(x.cubics, x.plain, strict=True)] for x in lattices]
+    ways = [[as_float(np.stack([c, c, p][:count])) for c, p in zip(x.cubics, x.lines, strict=True)] for x in lattices]
 
     def one(near: Array, asked: tuple[Array, Array, list, Array]) -> tuple[Array, tuple[Array, Array]]:
         kept, close, way, first = asked
@@ -115,13 +116,13 @@ def finished(given: Posed, ordinates: DiscreteOrdinates, solutions: Solution) ->
             field=refined(lattice, table) if errs else None,
             doubt=None
             if errs
-            else lax.stop_gradient(_doubt(part, lattice, *(of_few(own, found) for found in (table, few, plain)))),
+            else lax.stop_gradient(_doubt(part, lattice, *(of_few(own, found) for found in (table, few, lined)))),
             glow=lax.stop_gradient(_glow(part, lattice, table)),
             halo=_halo(part, shining, own.forward, order),
             beams=shining,
             counts=lattice.read,
         )
-        for whole, part, lattice, table, few, plain, shining, own in zip(
+        for whole, part, lattice, table, few, lined, shining, own in zip(
             given.given.parts_with_particles,
             parts,
             lattices,
@@ -149,10 +150,10 @@ def _split(table: Float[Array, "point *more"], lattices: list[Lattice]) -> list[
     return jnp.split(table, np.cumsum([math.prod(lattice.solved) for lattice in lattices])[:-1].tolist())
 
 
-def _doubt(medium: AbstractScatterer, lattice: Lattice, table: Array, few: Array, plain: Array) -> Doubt:
-    """Of moments [point, few, node] that were solved for, also with fewer harmonics and as read by `Lattice.plain`."""
-    change = refined(lattice, table) - refined(lattice, plain, lattice.plain)
-    return Doubt(refined(lattice, few), change / 2 if medium.smooth else change)
+def _doubt(medium: AbstractScatterer, lattice: Lattice, table: Array, few: Array, lined: Array) -> Doubt:
+    """Of moments [point, few, node] that were solved for, also with fewer harmonics and as read by `Lattice.lines`."""
+    change = refined(lattice, table) - refined(lattice, lined, lattice.lines)
+    return Doubt(refined(lattice, few), change * (FINE if medium.smooth else JUMPS))
 
 
 def _step(medium: AbstractScatterer, lattice: Lattice) -> Float[Array, ""]:
