@@ -30,7 +30,7 @@ from studies import aircraft
 from studies._study import Run, study, subplots
 
 Scenes = dict[str, jaxir.Scene]
-MOST_RAYS = 128  # of a pixel of a signature
+MOST_RAYS = 512  # of a pixel of a signature
 KEPT = ("azimuth", "elevation", "intensity", "standard_error", "bands", "truncation")  # of a signature
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
 SUN_SURFACE = 5772.0  # effective temperature, which spreads the sun's light over SWIR [K]

@@ -97,7 +97,7 @@ class DiscreteOrdinates(Physical):
     more than once, is that of small angles: through cubes .3 and 1 deep (asymmetry .8 and .95) it errs by .1 to 1 %
     towards the source, where .5 to 4 % are told, and by up to 3 % ten to forty degrees beside it, where .1 to 3 %
     are.
-    Costs some 15 times along across^2 (2 order + 2) (2 order + 3) rays once for a scene, twice that on a grid, and for
+    Costs some 15 times along across^2 (2 order + 2)^2 rays once for a scene, twice that on a grid, and for
     a ray some ten times what a plume without particles costs, where rays meet in an eye that is far away beside the
     lattice's steps (sources, too), else twenty.
 

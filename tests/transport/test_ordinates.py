@@ -173,6 +173,7 @@ def ball_in_the_sun(extinction, albedo):
 
 
 BALL = DiscreteOrdinates(9, 9, 1)
+THICK = jaxir.GrayParticles(6.0, 0.99, jaxir.HenyeyGreenstein(0.6))
 ball = functools.partial(ball_in_the_sun, 1.0, 0.1)
 
 
@@ -183,6 +184,42 @@ def test_the_sun_in_cells_that_lie_along_its_light():
     np.testing.assert_allclose(found, known, rtol=0.012)  # -.02 where only the points themselves see the sun
 
 
+def test_hot_cells_that_meet_in_the_lattice_shine_alike_to_all_sides():
+    """No direction to a point runs along the sides of cells on which it lies; one that did sees one of both for all."""
+    side = (np.arange(6) + 0.5) / 3 - 1
+    square = np.sum(np.stack(np.meshgrid(side, side, side)) ** 2, axis=0)
+    inside = (square < 0.8)[..., None]
+    particles = jaxir.GrayParticles(inside * 2.0, 0.9, jaxir.HenyeyGreenstein(0.3))
+    grid = jaxir.Grid((-1.0, -1.0, -1.0), (1 / 3,) * 3, (6,) * 3)
+    scene = jaxir.Scene(
+        None, jaxir.GridPlume(grid, 600.0 * np.exp(-square / 4), jaxir.GrayGas(inside * 0.4), particles)
+    )
+    method = Method(scattering=DiscreteOrdinates(7, 7))
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), method)
+    place = (np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2) + 0.01) * 0.9
+    mean = []
+    for axis, sign in np.ndindex(3, 2):
+        origin = np.insert(np.concatenate([place, -place]), axis, 9.0 * (2 * sign - 1), axis=1)
+        toward = np.broadcast_to(np.eye(3)[axis] * (1 - 2 * sign), origin.shape)
+        rays = jaxir.Rays(jnp.asarray(origin, jnp.float32), jnp.asarray(toward, jnp.float32))
+        mean.append(float(seen_by(lit, rays, method, None).mean()))
+    assert max(mean[:4]) < 1.001 * min(mean[:4])  # x and y
+    assert max(mean) < 1.01 * min(mean)
+
+
+@optimised
+def test_light_out_of_the_end_of_a_jet_is_seen():
+    """From behind a thick jet shines by a free path of light at its end, far less than what lies between stations."""
+    made = dataclasses.replace(jet(), length=40.0, gas=jaxir.GrayGas(0.05), particles=THICK)
+    scene, kinds = jaxir.Scene(None, made), (DiscreteOrdinates(21, 7), DiscreteOrdinates(61, 9))
+    coarse, fine = (
+        jaxir.signature(scene, [[180.0, 0.0]], [jaxir.MWIR], shape=(32, 32), samples=2, method=Method(scattering=kind))
+        for kind in kinds
+    )
+    apart = abs(float(coarse.intensity[0, 0] / fine.intensity[0, 0]) - 1)
+    assert apart < 0.03 and apart < float(coarse.truncation[0, 0])
+
+
 @optimised
 def test_what_a_lattice_errs_in_cells_in_the_sun_is_told():
     """Where light is scattered often, against the same lattice with what it errs sampled."""
@@ -191,8 +228,8 @@ def test_what_a_lattice_errs_in_cells_in_the_sun_is_told():
     each = np.asarray([look(scene, rays, sampled, key).mean() for key in jax.random.split(jax.random.key(2), 6)])
     known, error = each.mean(), each.std(ddof=1) / np.sqrt(len(each))
     lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), Method(scattering=BALL))
-    whole, rough, coarse, beams, pieces = (np.asarray(part).mean() for part in lacking(lit, rays))
-    told = abs(coarse) + abs(beams) + pieces + abs(whole - rough)
+    whole, rough, reading, beams, pieces = (np.asarray(part).mean() for part in lacking(lit, rays))
+    told = reading + abs(beams) + pieces + abs(whole - rough)
     assert error < 0.003 * known < abs(whole - known) < told + 3 * error
     assert told < 0.04 * known
 

@@ -38,22 +38,32 @@ class Lattice(NamedTuple):
 
 def lattice_of(medium: AbstractScatterer, ordinates: DiscreteOrdinates) -> Lattice:
     solved = medium.lattice(ordinates.along, ordinates.across)
-    cubics, lines = (tuple(_cubic(count, finer) for count in solved) for finer in (FINER, 1))
+    cubics, lines = (tuple(way(count) for count in solved) for way in (_cubic, _lines))
     read = tuple(len(matrix) for matrix in cubics)
     return Lattice(solved, (read[0], read[1], read[2]), cubics, lines)
 
 
-def _cubic(count: int, finer: int) -> np.ndarray:
+def _cubic(count: int) -> np.ndarray:
     """What is read between `count` even points from values at them [read, solved], by a cubic spline.
 
     Straight lines between values of a curve lie beside it by h^2 / 12 of its second derivative in the mean, h being
-    their length; they are drawn between values from which this is taken, so that sums along rays err less. Lines begin
-    at `finer` places for each of the points.
+    their length; they are drawn between values from which this is taken, so that sums along rays err less.
     """
-    spline, place = _spline(count), np.arange(finer * (count - 1) + 1) / finer
-    values = spline(place) - spline(place, nu=2) / (12 * finer**2)
+    spline, place = _spline(count), np.arange(FINER * (count - 1) + 1) / FINER
+    return spline(place) - spline(place, nu=2) / (12 * FINER**2)
+
+
+def _lines(count: int) -> np.ndarray:
+    """The same by straight lines between the even points, with differences in the place of derivatives.
+
+    Those of splines make three times as much of what turns from point to point, more than light scattered in a thick
+    plume loses.
+    """
+    inner = np.clip(np.arange(count), 1, count - 2)
+    every = np.eye(count)
+    values = every - (every[inner - 1] - 2 * every[inner] + every[inner + 1]) / 12
     read = np.arange(FINER * (count - 1) + 1) / FINER
-    return np.stack([np.interp(read, place, one) for one in values.T], axis=1)
+    return np.stack([np.interp(read, np.arange(count), one) for one in values.T], axis=1)
 
 
 def _spline(count: int) -> BSpline:

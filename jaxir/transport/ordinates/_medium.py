@@ -286,6 +286,6 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     for part in lit.medium.parts:
         rays, weight = chosen_rays(part, camera, lit.scene.start(camera))
         found = found + jnp.stack([weight @ radiance for radiance in lit.medium.lacking(rays, camera.eye)])
-    whole, rough, coarse, beams, pieces = (lit.nodes.in_band(each) for each in found)
-    lacks = jnp.abs(coarse) + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
+    whole, rough, reading, beams, pieces = (lit.nodes.in_band(each) for each in found)
+    lacks = reading + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
     return lacks / jnp.where(whole > 0, whole, 1)

@@ -108,7 +108,10 @@ class Aimed(NamedTuple):
 
 
 class Told(NamedTuple):
-    """J [ray, node], J of fewer harmonics, and what J may err by how the lattice is read, and by beams, with signs."""
+    """J [ray, node], J of fewer harmonics, and what J may err by how the lattice is read; by beams, with signs.
+
+    How it is read errs with either sign from point to point, so that this is taken without.
+    """
 
     whole: Float[Array, "ray node"]
     rough: Float[Array, "ray node"]
