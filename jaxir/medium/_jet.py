@@ -42,6 +42,7 @@ class JetMedium(AbstractScatterer):
         emission: absorption times blackbody radiance [knot, node] [W m-3 sr-1].
         scattering_coefficient: [knot, node] [m-1]; None without particles.
         phase: phase function of the particles; None without.
+        path: free path of scattered light where the jet ends, its length if that is less [m]; None without particles.
     """
 
     shape: JetShape
@@ -49,6 +50,7 @@ class JetMedium(AbstractScatterer):
     emission: Float[Array, "knot node"]
     scattering_coefficient: Float[Array, "knot node"] | None
     phase: AbstractPhase | None
+    path: Float[Array, ""] | None
 
     def radiance(
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
@@ -120,11 +122,9 @@ class JetMedium(AbstractScatterer):
         return jnp.stack([self._stations().share(z), (x / shape.edge(z) + 1) / 2, (y / shape.edge(z) + 1) / 2], axis=1)
 
     def _stations(self) -> _Stations:
-        """Stations for light, which enters the cut at the jet's end as far as it passes there."""
-        shape = self.shape
-        knot = jnp.round(shape.mixture_fraction(shape.end, jnp.zeros_like(shape.end)) * KNOTS).astype(jnp.int32)
-        thick = lax.stop_gradient(jnp.max(self.extinction[knot]))
-        return _Stations(shape.diameter / 2, 1 / jnp.maximum(thick, 1 / shape.end), shape.end)
+        """Stations for light, which changes behind the nozzle as the jet does, and before its end within a path."""
+        assert self.path is not None
+        return _Stations(self.shape.diameter / 2, self.path, self.shape.end)
 
     @property
     def frame(self) -> Float[Array, "3 3"]:
@@ -213,7 +213,15 @@ def tabulated_jet(
     # Some knots at a time: in one loop with what interpolates between them they would be computed four times each.
     some = lax.map(lambda f: optics(f)[:3], as_float(np.linspace(0, 1, COMPUTED).reshape(-1, AT_ONCE)))
     extinction, emission, scattering = jax.tree.map(lambda table: _refined(table.reshape(COMPUTED, -1)), some)
-    return JetMedium(shape, extinction, emission, scattering, phase)
+    return JetMedium(shape, extinction, emission, scattering, phase, _path_at_end(shape, scattering))
+
+
+def _path_at_end(shape: JetShape, scattering: Float[Array, "knot node"] | None) -> Float[Array, ""] | None:
+    """See `JetMedium.path`, of the node that scatters most."""
+    if scattering is None:
+        return None
+    knot = jnp.round(shape.mixture_fraction(shape.end, jnp.zeros_like(shape.end)) * KNOTS).astype(jnp.int32)
+    return 1 / jnp.maximum(lax.stop_gradient(jnp.max(scattering[knot])), 1 / shape.end)
 
 
 def _refined(table: Float[Array, "computed node"]) -> Float[Array, "knot node"]:
