@@ -84,18 +84,18 @@ class DiscreteOrdinates(Physical):
     """Light scattered by particles without samples: the radiance in the plume, solved on a lattice.
 
     However often light is scattered: no order is left out, and images have no noise of it. What errs instead is the
-    lattice, by about a per cent of the scattered light, and the harmonics, by up to some per cent of what little a
-    jet sends along its own axis. `Image.truncation` estimates both view by view: the harmonics by a second solution
-    with two degrees fewer, most often too much, the lattice by a quarter of what changes in a third that is read
-    between the points by straight lines, by twice of it where cells jump, whatever its sign. Less than
-    half of what errs is told where light changes by half from point to point, as across a jet on 5 points. In the
-    sun blocks of cells of very different density err up to 2.4 times what is told where the lattice has fewer
-    points than there are cells. An optical depth of scattering above 4 between points across a plume, or a lobe
-    backward that the harmonics do not resolve, is refused. Shadows of the skin on the plume are as sharp as the
-    lattice, and what scattered light skin reflects back into the plume is left out. Near the direction of a source
-    without extent its halo, light scattered forward more than once, is that of small angles: through cubes .3 and 1
-    deep (asymmetry .8 and .95) it errs by .1 to 1 % towards the source, where .5 to 4 % are told, and by up to 3 %
-    ten to forty degrees beside it, where .1 to 3 % are.
+    lattice, by about a per cent of the scattered light, and the harmonics, by up to some per cent of what little a jet
+    sends along its own axis. `Image.truncation` estimates both view by view: the harmonics by a second solution with
+    two degrees fewer, most often too much, the lattice by a quarter of what changes in a third that is read between the
+    points by straight lines, by twice of it where cells jump, whatever its sign. Less than half of what errs is told
+    where light changes by half from point to point, as across a jet on 5 points. In the sun blocks of cells of very
+    different density err up to 2.4 times what is told where the lattice has fewer points than there are cells. An
+    optical depth of scattering above 4 between points across a plume, or a lobe backward that the harmonics do not
+    resolve, is refused. Shadows of the skin on the plume are as sharp as the lattice, and what scattered light skin
+    reflects back into the plume is left out. Near the direction of a source without extent its halo, light scattered
+    forward more than once, is that of small angles: through cubes .3 and 1 deep (asymmetry .8 and .95) it errs by .1 to
+    1 % towards the source, where .5 to 4 % are told, and by up to 3 % ten to forty degrees beside it, where .1 to 3 %
+    are.
     Costs some 15 times along across^2 (2 order + 2)^2 rays once for a scene, twice that on a grid, and for a ray
     some ten times what a plume without particles costs, where rays meet in an eye that is far away beside the
     lattice's steps (sources, too), else twenty.

@@ -49,7 +49,7 @@ def _cubic(count: int) -> np.ndarray:
     Straight lines between values of a curve lie beside it by h^2 / 12 of its second derivative in the mean, h being
     their length; they are drawn between values from which this is taken, so that sums along rays err less.
     """
-    spline, place = _spline(count), np.arange(FINER * (count - 1) + 1) / FINER
+    spline, place = _spline(count), _read(count)
     return spline(place) - spline(place, nu=2) / (12 * FINER**2)
 
 
@@ -62,8 +62,12 @@ def _lines(count: int) -> np.ndarray:
     inner = np.clip(np.arange(count), 1, count - 2)
     every = np.eye(count)
     values = every - (every[inner - 1] - 2 * every[inner] + every[inner + 1]) / 12
-    read = np.arange(FINER * (count - 1) + 1) / FINER
-    return np.stack([np.interp(read, np.arange(count), one) for one in values.T], axis=1)
+    return np.stack([np.interp(_read(count), np.arange(count), one) for one in values.T], axis=1)
+
+
+def _read(count: int) -> np.ndarray:
+    """Where it is read between `count` points, in steps of theirs [read]."""
+    return np.arange(FINER * (count - 1) + 1) / FINER
 
 
 def _spline(count: int) -> BSpline:
