@@ -34,6 +34,12 @@ def safe_divide(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, 
     return jnp.where(b != 0, a / jnp.where(b != 0, b, 1), 0)
 
 
+# Products in full precision on every device: by default graphics cards round each factor to 11 bits, which is .0005.
+matmul = functools.partial(jnp.matmul, precision=lax.Precision.HIGHEST)
+einsum = functools.partial(jnp.einsum, precision=lax.Precision.HIGHEST)
+tensordot = functools.partial(jnp.tensordot, precision=lax.Precision.HIGHEST)
+
+
 @functools.cache
 def gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights [point] of Gauss-Legendre quadrature on [0, 1], on the host in double precision."""

@@ -1,10 +1,12 @@
 """The house stands: imports run downward only, and a scene compiles no more than it holds."""
 
 import ast
+import re
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import pytest
 
 import jaxir
 from jaxir.geometry import Rays
@@ -14,6 +16,7 @@ from jaxir.optics.spectrum import gray_nodes
 from jaxir.scene import light, plume
 from jaxir.scene.light import ParallelSource
 from jaxir.transport import evaluate, trace
+from tests import random_scenes
 from tests.scenes import gray_box, plate
 
 PACKAGE = Path(jaxir.__file__).parent
@@ -96,17 +99,19 @@ def test_no_file_is_longer_than_it_can_be_read():
     assert len(list((PACKAGE / "transport").glob("_[a-z]*.py"))) <= 8
 
 
-def _primitives(jaxpr) -> set[str]:
-    """Names of all primitives, those of inner jaxprs included."""
-    names = set()
+def _equations(jaxpr):
+    """All equations, those of inner jaxprs included."""
     for equation in jaxpr.eqns:
-        names.add(equation.primitive.name)
+        yield equation
         for value in equation.params.values():
             for inner in value if isinstance(value, (tuple, list)) else (value,):
                 inner = getattr(inner, "jaxpr", inner)
                 if hasattr(inner, "eqns"):
-                    names |= _primitives(inner)
-    return names
+                    yield from _equations(inner)
+
+
+def _primitives(jaxpr) -> set[str]:
+    return {equation.primitive.name for equation in _equations(jaxpr)}
 
 
 LOOPS = {"while", "scan"}
@@ -144,6 +149,28 @@ def test_nothing_is_sampled_without_lights_of_an_extent_or_bounces():
     assert asked & random
     left_out = _primitives(jax.make_jaxpr(lambda s: trace(s, _rays(), jaxir.Method(direct=None), key))(lamp).jaxpr)
     assert not left_out & random
+
+
+STRUCTURES_THAT_MULTIPLY = ("measured box", "box under a sky", "jet of lines", "image")
+
+
+@pytest.mark.parametrize("name", STRUCTURES_THAT_MULTIPLY)
+def test_products_are_in_full_precision_on_every_device(name):
+    """Graphics cards round the factors of a float32 product to 11 bits unless they are told not to."""
+    structure = random_scenes.STRUCTURES[name]
+    numbers = random_scenes.draw_batch(structure, (2, 5), 1)
+    jaxpr = jax.make_jaxpr(random_scenes.program(structure))(*numbers).jaxpr
+    products = [each for each in _equations(jaxpr) if each.primitive.name == "dot_general"]
+    full = (jax.lax.Precision.HIGHEST, jax.lax.Precision.HIGHEST)
+    assert products
+    for product in products:
+        assert product.params["precision"] == full, product.source_info.traceback
+
+
+def test_no_product_of_arrays_is_asked_of_jax_itself():
+    for path in PACKAGE.rglob("*.py"):
+        if path.name != "_math.py":
+            assert not re.search(r"jnp\.(matmul|einsum|tensordot|dot|inner|vdot|vecdot)\b", path.read_text()), path
 
 
 def test_shadow_rays_are_traced_for_sources_only(monkeypatch):

@@ -26,6 +26,8 @@ import optimistix as optx
 from jax import lax
 from jaxtyping import Array, Bool, Float, PyTree
 
+from jaxir._math import matmul
+
 START = 1e-5  # damping at first, in units of the largest squared singular value
 LEAST_RATIO = 1e-3  # of the fall of the loss to the predicted one, for a step to be taken
 NEARLY = 10  # tolerances from the solution within which a step that gains nothing tells rounding, and is the last
@@ -106,7 +108,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             jacobian = jax.vmap(lambda t: jax.jvp(lambda y: fn(y, args)[0], (state.trial,), (t,))[1], out_axes=1)(basis)
             size = jnp.where(state.first, jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0)), state.size)
             left, singular, right = jnp.linalg.svd(jacobian / _divisor(size)[None, :], full_matrices=False)
-            return loss, left, singular, right, size, left.T @ residual
+            return loss, left, singular, right, size, matmul(left.T, residual)
 
         held = state.loss, state.left, state.singular, state.right, state.size, state.along
         held_loss, left, singular, right, size, along = lax.cond(taken, linearised, lambda: held)
@@ -115,7 +117,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         damping = jnp.where(state.first, START * jnp.max(singular, initial=0) ** 2, damping)
         square = singular * singular
         damped = square + damping
-        delta = -(singular * along / jnp.where(damped > 0, damped, 1)) @ right / _divisor(size)
+        delta = matmul(-(singular * along / jnp.where(damped > 0, damped, 1)), right) / _divisor(size)
         left_over = damping / jnp.where(damped > 0, damped, 1)
         predicted = jnp.sum(along * along * (1 - left_over * left_over))
         tolerance = self.atol + self.rtol * jnp.sqrt(held_loss)

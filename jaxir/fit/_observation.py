@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxir._arrays import placed
+from jaxir._math import einsum
 from jaxir._programs import program
 from jaxir.fit._drift import density_ratio, effective_share
 from jaxir.fit._measurement import Measurement
@@ -50,7 +51,7 @@ class RaySum(eqx.Module):
         @jax.checkpoint  # a gradient evaluates a chunk again instead of keeping all of them
         def chunk(paths: Paths, weight: Array) -> Array:
             contrast = lit.nodes.in_band(evaluate(lit, paths) - lit.empty(paths.rays.direction))
-            return jnp.einsum("sp,spb->sb", weight, contrast.reshape((*weight.shape, -1)))
+            return einsum("sp,spb->sb", weight, contrast.reshape((*weight.shape, -1)))
 
         sums = lax.map(lambda each: chunk(*each), (self.paths, self.weight))
         return totals.at[self.group].add(sums)

@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float, enforce
+from jaxir._math import matmul
 from jaxir.fit._observation import Observation
 from jaxir.fit._parameter import Coordinates
 from jaxir.fit._prior import AbstractPrior
@@ -146,6 +147,6 @@ def with_jacobian(function: Residual) -> Residual:
     @held.defjvp
     def held_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
         (value, _), jacobian = value_and_jacobian(lambda z: (function(z), None), primals[0])
-        return value, jacobian @ tangents[0]
+        return value, matmul(jacobian, tangents[0])
 
     return held

@@ -28,7 +28,7 @@ from jaxir._arrays import (
     require_precision,
     require_shape,
 )
-from jaxir._math import dot, safe_sqrt
+from jaxir._math import dot, matmul, safe_sqrt
 from jaxir._plausible import ELEVATION, usual
 from jaxir.geometry._ray import Bundle
 
@@ -334,7 +334,7 @@ def camera_around(
         return Camera(target, frame, inverse, jnp.ones_like(target[:2]), (rows, columns))
 
     seen = aimed(centre).project(extent)
-    aside = ((seen.max(axis=0) + seen.min(axis=0)) / 2) @ frame[:2]
+    aside = matmul((seen.max(axis=0) + seen.min(axis=0)) / 2, frame[:2])
     # an eye at a finite distance would move aside with its target
     camera = aimed(centre + jnp.where(inverse > 0, 0, aside))
     half = jnp.max(jnp.abs(camera.project(extent)), axis=0)

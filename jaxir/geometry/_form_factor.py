@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_one_program
-from jaxir._math import dot, safe_sqrt
+from jaxir._math import dot, matmul, safe_sqrt
 from jaxir.geometry._sampling import polygon_vector
 
 
@@ -93,7 +93,7 @@ def polygon_form_factor(
     """
     begin = corners - point[None]
     end = jnp.roll(begin, -1, axis=0)
-    h0, h1 = begin @ receiver, end @ receiver
+    h0, h1 = matmul(begin, receiver), matmul(end, receiver)
     crosses = (h0 > 0) != (h1 > 0)
     part = jnp.where(crosses, h0 / jnp.where(crosses, h0 - h1, 1), 0)
     cut = begin + part[:, None] * (end - begin)
@@ -117,4 +117,4 @@ def _edge(
     seen = square > 0
     sine = jnp.sqrt(jnp.where(seen, square, 1))
     angle = jnp.arctan2(sine, jnp.where(seen, jnp.sum(begin * end, axis=-1), 1))
-    return jnp.where(seen, angle / sine * (cross @ receiver), 0)
+    return jnp.where(seen, angle / sine * matmul(cross, receiver), 0)

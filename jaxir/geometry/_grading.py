@@ -18,6 +18,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
+from jaxir._math import matmul
 from jaxir.geometry._camera import Camera, Grading, camera_around, view_frame
 
 BINS = 512  # in which brightness is collected along an axis of the image
@@ -91,7 +92,7 @@ def graded_camera(
     cos, sin = jnp.cos(roll), jnp.sin(roll)
     camera = camera_around(jnp.stack([cos * u + sin * v, cos * v - sin * u, w]), extent, shape, distance)
     # parts are seen as before, turned; an eye at infinity may look at another point
-    low, high = parts.moved(cos, sin, camera.frame[:2] @ (upright.target - camera.target)).box()
+    low, high = parts.moved(cos, sin, matmul(camera.frame[:2], upright.target - camera.target)).box()
     rows, columns = camera.shape
     size = (camera.pixel * as_float(np.array([columns, rows])))[:, None]
     low, high = low / size + 0.5, high / size + 0.5

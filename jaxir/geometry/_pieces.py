@@ -19,7 +19,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._math import safe_divide
+from jaxir._math import matmul, safe_divide
 from jaxir.geometry._box import box_chord, pdf_box, pdf_from_volume, sample_box
 
 EVEN = 0.05  # of the draws, for pieces that emit more than their power tells
@@ -42,8 +42,8 @@ class Pieces(NamedTuple):
 
     def turned_to(self, frame: Float[Array, "3 3"]) -> Pieces:
         """Boxes along another frame that hold these, with the same power each."""
-        turn = frame @ self.frame.T
-        return Pieces(frame, turn @ self.centre, jnp.abs(turn) @ self.half, self.power)
+        turn = matmul(frame, self.frame.T)
+        return Pieces(frame, matmul(turn, self.centre), matmul(jnp.abs(turn), self.half), self.power)
 
 
 class Sight(NamedTuple):
@@ -63,8 +63,8 @@ def sight_of(pieces: Pieces, point: Float[Array, " 3"], normal: Float[Array, " 3
 
     One draw in 20 is even among the pieces above the horizon, whatever their power.
     """
-    offset = pieces.centre - (pieces.frame @ point)[:, None]
-    up = (pieces.frame @ normal)[:, None]
+    offset = pieces.centre - matmul(pieces.frame, point)[:, None]
+    up = matmul(pieces.frame, normal)[:, None]
     height = jnp.maximum(jnp.sum(offset * up + pieces.half * jnp.abs(up), axis=0), 0)
     square = jnp.maximum(jnp.sum(offset**2, axis=0), jnp.sum(pieces.half**2, axis=0))
     sent = pieces.power * height / (square * jnp.sqrt(square))
@@ -82,15 +82,16 @@ def sample_pieces(
     """Unit vectors towards points drawn in the pieces [count, 3]; `draw` gives the numbers of decisions 0 and 1."""
     first, second = draw(0), draw(1)
     number = sight.chance.shape[0]
-    upto = sight.chance @ np.triu(np.ones((number, number), sight.chance.dtype))  # a sum over few is no scan's work
+    up_to_each = np.triu(np.ones((number, number), sight.chance.dtype))
+    upto = matmul(sight.chance, up_to_each)  # a sum over few is no scan's work
     chosen = jnp.minimum(jnp.sum((first[:, :1] >= upto[None]).astype(jnp.int32), axis=-1), number - 1)
     u = jnp.concatenate([first[:, 1:], second], axis=-1)
-    offset = (sight.offset.T[chosen] + jax.vmap(sample_box)(u, pieces.half.T[chosen])) @ pieces.frame
+    offset = matmul(sight.offset.T[chosen] + jax.vmap(sample_box)(u, pieces.half.T[chosen]), pieces.frame)
     square = jnp.sum(offset * offset, axis=-1, keepdims=True)
     return offset * lax.rsqrt(jnp.where(square > 0, square, 1))
 
 
 def pdf_pieces(pieces: Pieces, sight: Sight, omega: Float[Array, " 3"]) -> Float[Array, ""]:
     """Density [] [sr-1] of `sample_pieces` for a direction."""
-    near, far = box_chord(sight.offset, pieces.half, pieces.frame @ omega)
+    near, far = box_chord(sight.offset, pieces.half, matmul(pieces.frame, omega))
     return jnp.sum(pdf_from_volume(sight.chance * pdf_box(pieces.half), near, far))

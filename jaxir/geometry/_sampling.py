@@ -18,7 +18,7 @@ from jax import lax
 from jaxtyping import Array, Float, Key, UInt32
 
 from jaxir._arrays import as_one_program, float_dtype
-from jaxir._math import dot, frame_around, safe_sqrt
+from jaxir._math import dot, frame_around, matmul, safe_sqrt
 
 # Directions -----------------------------------------------------------------------------------------------------------
 
@@ -73,7 +73,7 @@ def turned(cos: Float[Array, ""], turn: Float[Array, ""], axis: Float[Array, " 3
     square = (1 - cos) * (1 + cos)
     sine = safe_sqrt(square)
     angle = 2 * jnp.pi * turn
-    return jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), cos]) @ frame_around(axis)
+    return matmul(jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), cos]), frame_around(axis))
 
 
 # Points of surfaces -----------------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@ def sample_polygon(u: Float[Array, " 2"], corners: Float[Array, "corner 3"]) -> 
     """
     vector = polygon_vector(corners)
     spokes = corners[1:] - corners[:1]
-    share = jnp.cross(spokes[:-1], spokes[1:]) @ vector / 2
+    share = matmul(jnp.cross(spokes[:-1], spokes[1:]), vector) / 2
     total = jnp.sum(share)
     there = total > 0
     reached = jnp.cumsum(share) / jnp.where(there, total, 1)
@@ -141,7 +141,7 @@ def sample_polygon(u: Float[Array, " 2"], corners: Float[Array, "corner 3"]) -> 
     width = share[chosen] / jnp.where(there, total, 1)
     left = (u[0] - (reached[chosen] - width)) / jnp.where(width > 0, width, 1)
     weights = sample_triangle(jnp.stack([jnp.clip(left, 0, 1), u[1]]))  # rounding alone leads out of [0, 1]
-    return weights @ jnp.stack([corners[0], corners[chosen + 1], corners[chosen + 2]])
+    return matmul(weights, jnp.stack([corners[0], corners[chosen + 1], corners[chosen + 2]]))
 
 
 def pdf_polygon(corners: Float[Array, "corner 3"]) -> Float[Array, ""]:

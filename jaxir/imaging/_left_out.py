@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import placed
-from jaxir._math import safe_sqrt
+from jaxir._math import matmul, safe_sqrt
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.geometry.search import is_convex
@@ -137,7 +137,7 @@ def left_out(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Flo
         paths = trace(lit.scene, rays, method, for_paths)
         half = camera.half_size()
         seen = (paths.face == face) & jnp.all(jnp.abs(screen) <= half[None], axis=1) & (facing[face] > 0)
-        height = (point - camera.target[None]) @ camera.frame[2]
+        height = matmul(point - camera.target[None], camera.frame[2])
         slant = camera.slant(screen)
         turned = jnp.abs(jnp.sum(vector[face] * _to_eye(camera, point), axis=1)) / jnp.where(seen, facing[face], 1)
         weight = jnp.where(seen, sums[-1] * turned / ((1 - height * camera.inverse_range) ** 3 * slant**2), 0)

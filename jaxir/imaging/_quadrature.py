@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from jaxir._math import matmul
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.optics.spectrum import Nodes
@@ -51,7 +52,7 @@ def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera) -> Float[Array
             rays = camera.bundle(screen, lit.scene.start(camera)).rays()
             paths = trace(lit.scene, rays, Method(direct=None, orders=0))
             change = evaluate(on_nodes(finer, nodes), paths) - evaluate(lit, paths)
-            total = total + jnp.abs(nodes.in_band(weight @ change))
+            total = total + jnp.abs(nodes.in_band(matmul(weight, change)))
         return SLOW * total
 
     return lax.map(one, cameras)

@@ -17,12 +17,12 @@ from collections.abc import Callable
 from importlib import resources
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float, as_one_program
+from jaxir._math import matmul
 from jaxir.optics._tables import overlap_matrix
 from jaxir.optics.spectrum import Nodes
 
@@ -142,7 +142,7 @@ def cold_cells(nodes: Nodes, hottest: Float[Array, ""]) -> ColdCells:
 def _summed(share: Float[Array, "node cell"], half: Callable[[np.ndarray], np.ndarray]) -> Float[Array, "node cell"]:
     """Sums up to each cell (`np.triu`) or from it on (`np.tril`), as a product that compiles faster than a scan."""
     ones = as_float(half(np.ones((share.shape[1],) * 2)))
-    return jnp.matmul(share, ones, precision=jax.lax.Precision.HIGHEST)
+    return matmul(share, ones)
 
 
 def _cell_weights(nodes: Nodes, count: int) -> Float[Array, "node cell"]:

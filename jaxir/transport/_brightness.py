@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float
-from jaxir._math import dot
+from jaxir._math import dot, einsum, matmul
 from jaxir._programs import program
 from jaxir.geometry import Brightness, Camera, Rays, graded_camera
 from jaxir.geometry.search import any_hit, face_normal
@@ -57,7 +57,7 @@ def brightness(lit: Lit) -> Brightness:
     area = jnp.linalg.norm(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     total = jnp.sum(radiance * area[:, None], axis=0) / 8 + jnp.sum(intensity, axis=0)  # faces are seen by a quarter
     share = 1 / jnp.where(total > 0, total, 1) / radiance.shape[1]
-    return Brightness(corners, radiance @ share, ends, radius, intensity @ share)
+    return Brightness(corners, matmul(radiance, share), ends, radius, matmul(intensity, share))
 
 
 def share_outside(lit: Lit, camera: Camera) -> Float[Array, " band"]:
@@ -72,7 +72,7 @@ def share_outside(lit: Lit, camera: Camera) -> Float[Array, " band"]:
     seen = jnp.maximum(dot(vector, camera.frame[2:]), 0)[:, None] * radiance
     of_faces, of_capsules = _beyond(corners, ends, camera)
     total = jnp.sum(seen, axis=0) + jnp.sum(intensity, axis=0)
-    left_out = of_faces @ seen + of_capsules @ intensity
+    left_out = matmul(of_faces, seen) + matmul(of_capsules, intensity)
     return left_out / jnp.where(total > 0, total, 1)
 
 
@@ -86,7 +86,7 @@ def _beyond(corners: Array, ends: Array, camera: Camera) -> tuple[Float[Array, "
 
     place = jnp.asarray(_centres(int(min(max((PROJECTED / max(len(corners), 1)) ** 0.5, 2), 16))), corners.dtype)
     along = jnp.asarray([0.1, 0.3, 0.5, 0.7, 0.9], ends.dtype)[None, :, None]
-    return beyond(jnp.einsum("pc,fck->fpk", place, corners)), beyond(ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]))
+    return beyond(einsum("pc,fck->fpk", place, corners)), beyond(ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]))
 
 
 @program

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check
 from jaxir._fields import Physical, SpectralLight, count, light, quantity
+from jaxir._math import matmul
 from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Independent
 from jaxir.geometry.search import Mesh, face_normal
@@ -280,6 +281,6 @@ def concavity(mesh: Mesh) -> tuple[Float[Array, " face"], Float[Array, ""]]:
     Nothing can come between a face and a light above it where none rises. Both sides count on open skin.
     """
     normal = face_normal(mesh, jnp.arange(mesh.count, dtype=jnp.int32))
-    height = normal @ mesh.vertices.T - jnp.sum(normal * mesh.corners()[:, 0], axis=-1)[:, None]
+    height = matmul(normal, mesh.vertices.T) - jnp.sum(normal * mesh.corners()[:, 0], axis=-1)[:, None]
     rise = jnp.max(height if mesh.closed else jnp.abs(height), axis=-1)
     return rise, 64 * jnp.finfo(rise.dtype).eps * jnp.max(jnp.abs(mesh.vertices))

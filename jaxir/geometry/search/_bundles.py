@@ -10,7 +10,7 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir._math import dot, on_platform
+from jaxir._math import dot, matmul, on_platform
 from jaxir.geometry import bits, greater, item, largest, lesser, lowest_bit, octant, row, smallest, varying
 from jaxir.geometry.search._single import DOUBT, NONE, Query, settled
 from jaxir.geometry.search._tree import FAR, WIDTH, Tree
@@ -131,7 +131,7 @@ def dual(frame: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     They differ from the frame by its rounding; a frame that is orthonormal to e gives them to e squared.
     """
     rows = frame.astype(jnp.float64)
-    return 2 * rows - (rows @ rows.T) @ rows
+    return 2 * rows - matmul(matmul(rows, rows.T), rows)
 
 
 def travel_of(frame: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, as_one_program
+from jaxir._math import einsum, matmul
 from jaxir.optics._slots import ColdCells, cell_shares, co2_slots, cold_cells, tabled
 from jaxir.optics._tables import COLD_PATH_EDGES, COLD_PATH_SPECIES, cold_path, overlap_matrix
 from jaxir.optics.air._profile import Profile
@@ -138,7 +139,7 @@ def path_air(
 @as_one_program
 def path_transmittance(air: PathAir, nodes: Nodes) -> Float[Array, " node"]:
     """Mean transmittance of the whole path in each node's bin [node]. Differentiable in `air`."""
-    return _share(nodes) @ jnp.exp(-air.depth[-1])
+    return matmul(_share(nodes), jnp.exp(-air.depth[-1]))
 
 
 @as_one_program
@@ -146,7 +147,7 @@ def path_emission(air: PathAir, nodes: Nodes) -> Float[Array, " node"]:
     """Radiance that the air of the path sends into the sensor [node] [W m-2 sr-1]. Differentiable in `air`."""
     before = jnp.concatenate([jnp.zeros_like(air.depth[:1]), air.depth[:-1]])
     contribution = jnp.exp(-before) * -jnp.expm1(before - air.depth)
-    return jnp.sum(band_radiance(air.temperature, nodes) * (contribution @ _share(nodes).T), axis=0)
+    return jnp.sum(band_radiance(air.temperature, nodes) * matmul(contribution, _share(nodes).T), axis=0)
 
 
 def slot_path(air: PathAir, nodes: Nodes, hottest: Float[Array, ""]) -> tuple[Array, Array]:
@@ -164,14 +165,14 @@ def slot_path(air: PathAir, nodes: Nodes, hottest: Float[Array, ""]) -> tuple[Ar
     edges = co2_slots().edges
     rows = slice(*np.searchsorted(COLD_PATH_EDGES, [edges[0], edges[-1]]))
     own = _own_lines(air, cells)  # [2, segment, bin, slot]
-    mean = (own @ as_float(cell_shares(own.shape[-1])))[..., None]
+    mean = matmul(own, as_float(cell_shares(own.shape[-1])))[..., None]
     fitted = jnp.exp(-air.uniform[:, rows])[None, :, :, None]
     darker = own * jnp.minimum(fitted / jnp.maximum(mean, _TINY), 1)
     brighter = 1 - (1 - own) * jnp.minimum((1 - fitted) / jnp.maximum(1 - mean, _TINY), 1)
     through = jnp.where(fitted <= mean, darker, brighter)
     through = through * jnp.exp(-(air.depth - air.uniform)[:, rows])[None, :, :, None]
     through = through.reshape(*through.shape[:2], -1)
-    after = jnp.einsum("r,rsc,rnc->sn", cells.blend, through, cells.share, precision=jax.lax.Precision.HIGHEST)
+    after = einsum("r,rsc,rnc->sn", cells.blend, through, cells.share)
     before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
     emitted = jnp.sum(band_radiance(air.temperature, nodes) * (before - after), axis=0)
     inside = tabled(nodes)
@@ -187,10 +188,12 @@ def _own_lines(air: PathAir, cells: ColdCells) -> Float[Array, "2 segment bin sl
     hotter = _hats(as_float(-1000 / table.cold_temperature), -1000 / air.state[0])
     denser = _hats(as_float(np.log(table.cold_pressure)), jnp.log(air.state[1]))
     weight = (hotter[:, :, None] * denser[:, None, :]).reshape(hotter.shape[0], -1)
-    log_section = jnp.einsum("hl,rlc->rhc", weight, cells.cold.reshape(2, weight.shape[1], -1), precision="highest")
+    log_section = einsum("hl,rlc->rhc", weight, cells.cold.reshape(2, weight.shape[1], -1))
     depth = jnp.exp(log_section + jnp.log(_CO2_IN_AIR * air.column)[None, :, None])
     until = jnp.cumsum(depth.reshape(2, _SEGMENTS, 2, -1).sum(axis=2), axis=1)
-    return jnp.exp(-until).reshape(2, _SEGMENTS, *cells.cold.shape[3:]) @ as_float(cell_shares(cells.cold.shape[-1]))
+    return matmul(
+        jnp.exp(-until).reshape(2, _SEGMENTS, *cells.cold.shape[3:]), as_float(cell_shares(cells.cold.shape[-1]))
+    )
 
 
 def _hats(levels: Float[Array, " level"], place: Float[Array, " half"]) -> Float[Array, "half level"]:

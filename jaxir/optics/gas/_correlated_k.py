@@ -9,11 +9,11 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.lax import Precision
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, as_one_program, fraction, known, on_host, positive, require
 from jaxir._fields import flag, quantity
+from jaxir._math import matmul, tensordot
 from jaxir._plausible import PASCAL, reach
 from jaxir.optics.gas._gas import (
     COLD,
@@ -145,11 +145,11 @@ class CrossSections(eqx.Module):
         table = self.log_cross_section - mean[None, None, None]
         for axis in (2, 1, 0):  # what is the same in every cell leaves the table before there are cells
             if weights[axis].ndim == 1:
-                table = jnp.tensordot(weights.pop(axis), table, axes=(0, axis), precision=Precision.HIGHEST)
+                table = tensordot(weights.pop(axis), table, axes=(0, axis))
         if weights:
             joint = functools.reduce(_outer, weights)
             rows = table.reshape(joint.shape[-1], table.shape[-1])
-            table = jnp.matmul(joint, rows, precision=Precision.HIGHEST)
+            table = matmul(joint, rows)
         return jnp.exp(table + mean.reshape((1,) * (table.ndim - 1) + mean.shape))
 
 

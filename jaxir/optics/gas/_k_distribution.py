@@ -23,6 +23,7 @@ from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, as_one_program
+from jaxir._math import matmul
 
 _PROBIT = (-3.1, 5.6)  # Phi^-1 of g = 0.001 ... 1 - 1e-8
 _LOG_B = (-12.0, 9.5)
@@ -93,7 +94,7 @@ def quantile_series(g: Float[Array, " node"]) -> Float[Array, "term node"]:
     order = jnp.arange(_TERMS[0], dtype=g.dtype)
     polynomial = jnp.cos(order[:, None] * jnp.arccos(jnp.clip(scaled, -1, 1))[None, :])
     table = as_float((_series() @ _newton()[1].T).T)
-    return jnp.matmul(table, polynomial, precision=jax.lax.Precision.HIGHEST)
+    return matmul(table, polynomial)
 
 
 @as_one_program
@@ -130,5 +131,5 @@ def _polynomial(series: Array, t: Array) -> Array:
 @_polynomial.defjvp
 def _polynomial_jvp(primals: tuple, tangents: tuple) -> tuple:
     series, t = primals
-    derivative = jnp.matmul(as_float(_newton()[2]), series, precision=jax.lax.Precision.HIGHEST)
+    derivative = matmul(as_float(_newton()[2]), series)
     return _polynomial(series, t), _polynomial(derivative, t) * tangents[1]

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import Check, as_float, as_one_program, fraction, positive, require
 from jaxir._fields import flag, quantity
+from jaxir._math import matmul, tensordot
 from jaxir._plausible import PASCAL, doubt, reach
 from jaxir.optics._slots import co2_slots, hot_cross_sections, tabled
 from jaxir.optics._tables import ABSENT, HOT_GAS_EDGES, HOT_GAS_TEMPERATURE, hot_gas, overlap_matrix
@@ -200,9 +201,9 @@ class _SpeciesTable(eqx.Module):
     def __init__(self, species: str, nodes: Nodes):
         table = hot_gas(species)
         share = overlap_matrix(nodes.lower, nodes.upper, as_float(HOT_GAS_EDGES))
-        mean = share @ as_float(table.coefficient.T) + ABSENT
+        mean = matmul(share, as_float(table.coefficient.T)) + ABSENT
         # Means of k and of sqrt(k / d) keep a group's weak and its strong limit.
-        strong = share @ as_float(np.sqrt(table.coefficient * table.inverse_spacing).T) + np.sqrt(ABSENT)
+        strong = matmul(share, as_float(np.sqrt(table.coefficient * table.inverse_spacing).T)) + np.sqrt(ABSENT)
         self.log_coefficient = jnp.log(mean).T
         self.log_lines = (2 * jnp.log(strong) - jnp.log(mean)).T + np.log(4)
         self.series = quantile_series(nodes.g[:, quantile_index(species)])
@@ -275,7 +276,7 @@ def _log_lined(
     hotter = spline_weights(temperatures, as_float(_lined_levels()[2]), -_KELVIN / held)
     denser = spline_weights(pressures, as_float(_lined_levels()[3]), log_pressure)
     if denser.ndim == 1:  # one pressure for all cells
-        return _blend(hotter, jnp.tensordot(denser, table.log_lined, axes=(0, 1), precision=jax.lax.Precision.HIGHEST))
+        return _blend(hotter, tensordot(denser, table.log_lined, axes=(0, 1)))
     joint = (hotter[..., :, None] * denser[..., None, :]).reshape(*denser.shape[:-1], -1)
     return _blend(joint, table.log_lined.reshape(-1, table.log_lined.shape[-1]))
 
@@ -293,7 +294,7 @@ def _spread(per_cell: Float[Array, "*cell"], like: Float[Array, "*cell node"]) -
     Its transpose, the sum over nodes in a gradient, is then a matrix product, which XLA's CPU backend feeds from one
     fused loop; for a plain sum it stores every operation in front of it.
     """
-    return per_cell[..., None] @ jnp.ones((1, like.shape[-1]), like.dtype)
+    return matmul(per_cell[..., None], jnp.ones((1, like.shape[-1]), like.dtype))
 
 
 def _blend(level: Float[Array, "*cell level"], table: Float[Array, "level node"]) -> Float[Array, "*cell node"]:

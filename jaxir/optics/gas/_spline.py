@@ -7,12 +7,12 @@ errs in the last places; sums of truncated powers (u - u_k)^3, which cancel, err
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, as_one_program
+from jaxir._math import matmul
 
 
 def spline_slopes(levels: np.ndarray) -> np.ndarray:
@@ -52,5 +52,5 @@ def spline_weights(
     after, before = (jnp.concatenate(pair) for pair in ((step, end), (end, step)))
     share = jnp.minimum(apart / jnp.where(apart > 0, after.reshape(cell), -before.reshape(cell)), 1)
     falls = (1 - share) ** 2
-    tangents = jnp.matmul(apart * falls, as_float(slopes), precision=jax.lax.Precision.HIGHEST)
+    tangents = matmul(apart * falls, as_float(slopes))
     return (1 + 2 * share) * falls + tangents

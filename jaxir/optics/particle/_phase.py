@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, as_one_program, increasing, non_negative, positive, require_shape
 from jaxir._fields import Physical, quantity, spectral
-from jaxir._math import gauss_legendre, safe_divide
+from jaxir._math import gauss_legendre, matmul, safe_divide
 
 MOMENT_POINTS = 512
 
@@ -48,7 +48,7 @@ class AbstractPhase(Physical):
         angle = np.pi * (share - np.sin(2 * np.pi * share) / (2 * np.pi))
         weight = weight * 2 * np.pi**2 * np.sin(angle) * (1 - np.cos(2 * np.pi * share))
         legendre = np.polynomial.legendre.legvander(np.cos(angle), order) * weight[:, None]
-        found = as_float(legendre.T) @ jax.vmap(self.eval)(as_float(np.cos(angle)))
+        found = matmul(as_float(legendre.T), jax.vmap(self.eval)(as_float(np.cos(angle))))
         return found / found[:1]
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, increasing, non_negative, positive, require, require_shape
 from jaxir._fields import Physical, quantity
+from jaxir._math import matmul
 from jaxir._plausible import WAVENUMBER, doubt, usual
 from jaxir.optics._tables import sample_weights
 from jaxir.optics.particle._particles import AbstractParticles, ParticleOptics, exact_difference
@@ -107,9 +108,9 @@ class Particles(AbstractParticles):
         weight = sample_weights(nodes.lower, nodes.upper, table.wavenumber)
         # Cross-sections of 1e-10 m2 and the phase peak stay far from the limits of float32 in units of their mean.
         unit = jnp.mean(table.extinction)
-        absorption, scattering = weight @ (table.absorption / unit), weight @ (table.scattering / unit)
+        absorption, scattering = matmul(weight, table.absorption / unit), matmul(weight, table.scattering / unit)
         extinction = absorption + scattering
-        phase = weight @ (table.scattering[:, None] / unit * table.phase)
+        phase = matmul(weight, table.scattering[:, None] / unit * table.phase)
         spread = (self.number_density * unit)[..., None] * extinction.reshape((1,) * self.number_density.ndim + (-1,))
         lobe = TabulatedPhase(table.cosine, phase)
         return ParticleOptics(spread, scattering / extinction, absorption / extinction, lobe)

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxir._arrays import Check, as_float, float_dtype, known, on_host, require
+from jaxir._math import matmul
 from jaxir._plausible import usual
 
 _MICROMETRES = usual(0.1, 100, "um", below="is it in m?", above="is it in nm or cm-1?")
@@ -134,7 +135,7 @@ class Nodes(eqx.Module):
 
     def in_band(self, radiance: Float[Array, "*batch node"]) -> Float[Array, "*batch band"]:
         """Sum node radiances [W m-2 sr-1] into bands. Differentiable in `radiance`."""
-        return radiance @ (self.response * self.weight[None, :]).T
+        return matmul(radiance, (self.response * self.weight[None, :]).T)
 
 
 def quantile_index(species: str) -> int:

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, increasing, non_negative, on_host, positive, require
 from jaxir._fields import AbstractSpectrum, quantity
+from jaxir._math import matmul
 from jaxir._plausible import KELVIN, usual
 from jaxir.optics._tables import sample_weights
 from jaxir.optics.spectrum._band import Nodes, bins_inside
@@ -74,4 +75,4 @@ class TabulatedSpectrum(AbstractSpectrum):
         """
         require(self.node_checks(nodes))
         width = 1e4 * (nodes.upper - nodes.lower) / (nodes.lower * nodes.upper)
-        return self.value @ sample_weights(1e4 / nodes.upper, 1e4 / nodes.lower, self.wavelength).T * width
+        return matmul(self.value, sample_weights(1e4 / nodes.upper, 1e4 / nodes.lower, self.wavelength).T) * width

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import Check, on_host
 from jaxir._fields import Physical, Range, per_face, quantity
-from jaxir._math import dot, frame_around
+from jaxir._math import dot, frame_around, matmul
 
 B = TypeVar("B", bound="AbstractBrdf")
 
@@ -91,7 +91,7 @@ def cosine_direction(u: Float[Array, " 2"], normal: Float[Array, " 3"]) -> Float
     radius = jnp.sqrt(u[0])
     angle = 2 * jnp.pi * u[1]
     local = jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle), jnp.sqrt(1 - u[0])])
-    return local @ frame_around(normal)
+    return matmul(local, frame_around(normal))
 
 
 def cosine_density(omega: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Float[Array, ""]:

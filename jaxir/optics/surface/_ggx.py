@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, as_one_program, non_negative, positive
-from jaxir._math import dot, frame_around, gauss_legendre, safe_divide, safe_sqrt
+from jaxir._math import dot, frame_around, gauss_legendre, matmul, safe_divide, safe_sqrt, tensordot
 from jaxir.optics.surface._brdf import (
     AbstractBrdf,
     cosine_density,
@@ -69,7 +69,7 @@ class RoughConductor(AbstractBrdf):
     ) -> Float[Array, " node"]:
         """See `AbstractBrdf.eval`."""
         frame = frame_around(facing(omega_o, normal))
-        i, o = frame @ omega_i, frame @ omega_o
+        i, o = matmul(frame, omega_i), matmul(frame, omega_o)
         above = i[2] > 0
         cos_i, cos_o = jnp.where(above, i[2], 1), jnp.maximum(o[2], 0)
         half = _half(i, o)
@@ -86,14 +86,14 @@ class RoughConductor(AbstractBrdf):
         """See `AbstractBrdf.sample`; a visible facet, or a cosine lobe for multiply scattered light."""
         up = facing(omega_o, normal)
         frame = frame_around(up)
-        o = frame @ omega_o
+        o = matmul(frame, omega_o)
         width = _one_width(self.roughness)
         share = _diffuse_share(o[2], width)
         diffuse = u[0] < share
         first = jnp.where(diffuse, u[0], u[0] - share) / jnp.where(diffuse, share, 1 - share)
         again = jnp.stack([jnp.clip(first, 0, 1), u[1]])
         half = _visible_facet(again[0], 2 * jnp.pi * again[1], o, width)
-        mirrored = (2 * dot(o, half) * half - o) @ frame
+        mirrored = matmul(2 * dot(o, half) * half - o, frame)
         return jnp.where(diffuse, cosine_direction(again, up), mirrored)
 
     @as_one_program
@@ -103,7 +103,7 @@ class RoughConductor(AbstractBrdf):
         """See `AbstractBrdf.pdf`; facets also send a little below the horizon, where the brdf is 0."""
         up = facing(omega_o, normal)
         frame = frame_around(up)
-        i, o = frame @ omega_i, frame @ omega_o
+        i, o = matmul(frame, omega_i), matmul(frame, omega_o)
         width = _one_width(self.roughness)
         share = _diffuse_share(o[2], width)
         half = _half(i, o)
@@ -219,13 +219,13 @@ def _loss(cos: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Arr
     t = safe_sqrt(cos * (1 + roughness) / (cos + roughness))
     table = as_float(_loss_table()[0])
     in_t, in_a = _chebyshev(2 * t - 1, _DEGREE[0]), _chebyshev(2 * roughness - 1, _DEGREE[1])
-    series = jnp.sum(in_t * jnp.tensordot(table, in_a, 1), axis=0)
+    series = jnp.sum(in_t * tensordot(table, in_a, 1), axis=0)
     return jnp.maximum(series, 0)  # the fit's own error of 1e-4 around a true 0
 
 
 def _mean_loss(roughness: Float[Array, "..."]) -> Float[Array, "..."]:
     """Mean of 1 - E over cosine-weighted directions."""
-    series = jnp.tensordot(as_float(_loss_table()[1]), _chebyshev(2 * roughness - 1, _DEGREE[1]), 1)
+    series = tensordot(as_float(_loss_table()[1]), _chebyshev(2 * roughness - 1, _DEGREE[1]), 1)
     return jnp.maximum(series, 1e-7)
 
 

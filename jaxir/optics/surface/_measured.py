@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, fraction, non_negative
 from jaxir._fields import quantity
-from jaxir._math import dot, gauss_legendre, safe_sqrt
+from jaxir._math import dot, einsum, gauss_legendre, safe_sqrt
 from jaxir.optics.surface._brdf import AbstractBrdf, cosine_density, cosine_direction, facing
 
 
@@ -101,7 +101,7 @@ class BrdfTable(AbstractBrdf):
         """Reflectance at the table's theta_o."""
         polar, turn = self.value.shape[-4], self.value.shape[-2]
         weight = 2 * np.outer(_hat_weights(polar), np.pi * _trapezoid(turn))
-        return jnp.einsum("...ijkn,ik->...jn", self.value, as_float(weight))
+        return einsum("...ijkn,ik->...jn", self.value, as_float(weight))
 
 
 def _between(table: Float[Array, "point *rest"], position: Float[Array, ""]) -> Float[Array, "*rest"]:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, fraction
-from jaxir._math import dot, frame_around, gauss_legendre
+from jaxir._math import dot, frame_around, gauss_legendre, matmul
 from jaxir.optics.surface._brdf import (
     AbstractBrdf,
     cosine_density,
@@ -83,7 +83,7 @@ class SandfordRobertson(AbstractBrdf):
         sine = jnp.sqrt(drop * (2 - drop))
         angle = 2 * jnp.pi * again[1]
         local = jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), 1 - drop])
-        lobe = local @ frame_around(_mirror(omega_o, up))
+        lobe = matmul(local, frame_around(_mirror(omega_o, up)))
         folded = lobe - jnp.minimum(2 * dot(lobe, up), 0) * up
         return jnp.where(glossy, folded, cosine_direction(again, up))
 

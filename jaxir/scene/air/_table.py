@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, fraction, increasing, known, non_negative, on_host, positive, require
 from jaxir._fields import quantity
+from jaxir._math import matmul
 from jaxir._plausible import WAVENUMBER
 from jaxir.optics._tables import sample_weights
 from jaxir.optics.spectrum import Nodes, bins_inside
@@ -78,5 +79,5 @@ class TableAtmosphere(AbstractAtmosphere):
         weight = sample_weights(nodes.lower, nodes.upper, self.wavenumber)
         added = jnp.zeros_like(nodes.weight)
         if self.spectral_path_radiance is not None:
-            added = weight @ self.spectral_path_radiance * (nodes.upper - nodes.lower)
-        return AirPath(weight @ self.transmittance, added)
+            added = matmul(weight, self.spectral_path_radiance) * (nodes.upper - nodes.lower)
+        return AirPath(matmul(weight, self.transmittance), added)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, finite, fraction, positive
 from jaxir._fields import over_nodes, quantity, spectral
+from jaxir._math import matmul
 from jaxir._plausible import KELVIN
 from jaxir.optics._tables import COLD_PATH_EDGES
 from jaxir.optics.air import (
@@ -120,7 +121,7 @@ class ClearSky(AbstractBackground):
             return path_transmittance(air, nodes), path_emission(air, nodes)
 
         passed, emitted = jax.vmap(along)(start, sight)
-        arriving = weight @ emitted[2 * ROWS : -1] + self._sunlight(nodes, passed[-1]) * jnp.maximum(
+        arriving = matmul(weight, emitted[2 * ROWS : -1]) + self._sunlight(nodes, passed[-1]) * jnp.maximum(
             jnp.sin(jnp.deg2rad(high)), 0
         )
         emissivity = over_nodes(self, nodes).ground_emissivity

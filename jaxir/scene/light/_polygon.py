@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_one_program
 from jaxir._fields import SpectralLight, light, quantity
-from jaxir._math import dot
+from jaxir._math import dot, matmul
 from jaxir.geometry import pdf_from_area, pdf_polygon, polygon_form_factor, polygon_vector, sample_polygon
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene.light._light import AbstractAreaSource, Arrival, spread, to_plane, towards
@@ -88,6 +88,8 @@ class PolygonSource(AbstractAreaSource):
         over = jnp.sum(inward[:, None] * (self.corners[None] - self.corners[:, None]), axis=-1)
         return [
             Check("area of PolygonSource.corners", area, area > grain * size, "corners that span an area"),
-            Check("PolygonSource.corners", self.corners, jnp.abs(spokes @ normal) <= grain, "corners in one plane"),
+            Check(
+                "PolygonSource.corners", self.corners, jnp.abs(matmul(spokes, normal)) <= grain, "corners in one plane"
+            ),
             Check("PolygonSource.corners", self.corners, jnp.all(over >= -grain * size, axis=0), "a convex polygon"),
         ]

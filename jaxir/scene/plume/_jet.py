@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import Check, as_float, as_one_program, positive
 from jaxir._fields import count, quantity, require_part
-from jaxir._math import frame_around
+from jaxir._math import frame_around, matmul
 from jaxir._plausible import KELVIN, doubt, usual
 from jaxir.geometry import Grid, Pieces, Rays, pdf_box
 from jaxir.medium import (
@@ -184,7 +184,7 @@ class JetPlume(AbstractPlume):
         half = jnp.stack([width, width, along]).reshape(3, -1)
         frame = frame_around(self.direction)
         place = jnp.broadcast_to((begin + end)[:, None] / 2, width.shape).reshape(1, -1)
-        centre = (frame @ self.nozzle)[:, None] + jnp.pad(place, ((2, 0), (0, 0)))
+        centre = matmul(frame, self.nozzle)[:, None] + jnp.pad(place, ((2, 0), (0, 0)))
         return Pieces(frame, centre, half, step.reshape(-1) / pdf_box(half))
 
     @property

@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array
 
 from jaxir._arrays import as_float, enforce
-from jaxir._math import frame_around
+from jaxir._math import frame_around, matmul
 from jaxir._programs import program
 from jaxir.geometry import Rays
 from jaxir.medium import JetMedium
@@ -33,7 +33,7 @@ def _sampled(medium: JetMedium) -> tuple[Array, Array]:
     z = jet.stations(u[:, 0])
     r = jet.edge(z) * jnp.sqrt(u[:, 1])
     turn = 2 * jnp.pi * u[:, 2]
-    point = jnp.stack([r * jnp.cos(turn), r * jnp.sin(turn), z], axis=-1) @ frame + jet.nozzle[None, :]
+    point = matmul(jnp.stack([r * jnp.cos(turn), r * jnp.sin(turn), z], axis=-1), frame) + jet.nozzle[None, :]
     back = 2 * (jet.end + jet.edge(jet.end))
 
     def view(angle: Array) -> tuple[Array, Array]:

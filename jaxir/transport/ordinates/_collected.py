@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from jaxir._math import einsum
 from jaxir.medium import register_linear, streaming_primitive
 
 
@@ -73,7 +74,7 @@ def _spread(place: Array, share: Array, passed: Array, lobe: Array, out: Array, 
 
 
 def _plain(place: Array, share: Array, passed: Array, lobe: Array, table: Array, *, rows: int) -> list:
-    seen = jnp.einsum("rskjhn,rh->rskjn", table[_rows(place)], lobe)
+    seen = einsum("rskjhn,rh->rskjn", table[_rows(place)], lobe)
     return [jnp.sum(jnp.sum(share[..., None] * seen, axis=(2, 3)) * passed, axis=1)]
 
 

@@ -28,6 +28,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
+from jaxir._math import einsum
 
 DEGREE = 384  # of the moments: lobes down to a degree
 ANGLES = 128  # at which it is tabulated, crowded where light goes straight on
@@ -79,9 +80,9 @@ def halo(chi: Float[Array, "degree node"], forward: Float[Array, " node"], order
     t = as_float((place + 1) / 2)[:, None, None] * deepest[None, None]
     change = (c - 1) * jnp.exp(t * (c - 1)) + jnp.exp(-t) - c
     legendre = np.polynomial.legendre.legvander(1 - 2 * _away(), DEGREE) * (2 * degree + 1) / (4 * np.pi)
-    at_depths = jnp.einsum("al,tln->atn", as_float(legendre), change)
+    at_depths = einsum("al,tln->atn", as_float(legendre), change)
     to_powers = np.linalg.inv(np.polynomial.chebyshev.chebvander(place, POWERS - 1))
-    table = jnp.einsum("pt,atn->apn", as_float(to_powers), at_depths)
+    table = einsum("pt,atn->apn", as_float(to_powers), at_depths)
     near = np.clip(1 - 2 * _away() / (1 - np.cos(np.deg2rad(WIDEST))), 0, 1)
     fading = as_float(near**2 * (3 - 2 * near))[:, None, None]
     return Halo(table * fading * jnp.where(some, forward, 0)[None, None], deepest)

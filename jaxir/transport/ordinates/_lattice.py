@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import as_float
+from jaxir._math import tensordot
 from jaxir.medium import AbstractScatterer
 from jaxir.transport._method import DiscreteOrdinates
 
@@ -95,7 +96,7 @@ def refined(
     """A table at the points that are read, by the lattice's `cubics` or other `ways`."""
     whole = table.reshape(*lattice.solved, -1)
     for axis, matrix in enumerate(lattice.cubics if ways is None else ways):
-        whole = jnp.moveaxis(jnp.tensordot(as_float(matrix), whole, axes=(1, axis)), 0, axis)
+        whole = jnp.moveaxis(tensordot(as_float(matrix), whole, axes=(1, axis)), 0, axis)
     return whole.reshape(-1, *table.shape[1:])
 
 

@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, on_host
-from jaxir._math import dot
+from jaxir._math import dot, matmul
 from jaxir._programs import program
 from jaxir.geometry import Camera, Eye, Rays, harmonics
 from jaxir.medium import (
@@ -285,7 +285,7 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     found = jnp.zeros((5, lit.nodes.count), camera.pixel.dtype)
     for part in lit.medium.parts:
         rays, weight = chosen_rays(part, camera, lit.scene.start(camera))
-        found = found + jnp.stack([weight @ radiance for radiance in lit.medium.lacking(rays, camera.eye)])
+        found = found + jnp.stack([matmul(weight, radiance) for radiance in lit.medium.lacking(rays, camera.eye)])
     whole, rough, reading, beams, pieces = (lit.nodes.in_band(each) for each in found)
     lacks = reading + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
     return lacks / jnp.where(whole > 0, whole, 1)

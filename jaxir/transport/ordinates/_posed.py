@@ -35,7 +35,7 @@ from jax import lax
 from jaxtyping import Array
 
 from jaxir._arrays import as_float
-from jaxir._math import sum_before
+from jaxir._math import matmul, sum_before
 from jaxir.geometry import Rays, degrees, harmonics, rule_size, sphere_rule
 from jaxir.geometry.search import any_hit
 from jaxir.medium import (
@@ -177,7 +177,7 @@ def rule(order: int, medium: AbstractMedium) -> tuple[Array, Array, Array]:
     They lie about the first part's axis: light of a narrow jet comes along it or across.
     """
     direction, weight = (as_float(x) for x in sphere_rule(2 * order))
-    direction = direction @ lax.stop_gradient(medium.parts_with_particles[0].frame)
+    direction = matmul(direction, lax.stop_gradient(medium.parts_with_particles[0].frame))
     lobes = harmonics(direction, order)
     return direction, lobes, weight[:, None] * lobes
 

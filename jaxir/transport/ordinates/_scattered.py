@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import as_float
-from jaxir._math import safe_sqrt
+from jaxir._math import einsum, safe_sqrt
 from jaxir.geometry import degrees
 from jaxir.medium import AbstractScatterer
 from jaxir.transport._method import DiscreteOrdinates
@@ -58,7 +58,7 @@ def solution(given: Posed, ordinates: DiscreteOrdinates, group: Int[Array, ""]) 
             rest: moments of the harmonics that are kept, of each part [harmonic, node].
             readers: how it comes to the points that are read, of each part.
         """
-        into = [jnp.einsum("dh,phn->dpn", lobes, part * own[None]) for part, own in zip(light, rest, strict=True)]
+        into = [einsum("dh,phn->dpn", lobes, part * own[None]) for part, own in zip(light, rest, strict=True)]
         count, _, nodes = own.unscattered.shape
         once = jnp.ones((count, 1), lobes.dtype)
 
@@ -69,7 +69,7 @@ def solution(given: Posed, ordinates: DiscreteOrdinates, group: Int[Array, ""]) 
                 came = came + collected(place, share, passed, once, read(part)[:, None])
             return None, came
 
-        return jnp.einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (given.where, own.passed, into))[1])
+        return einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (given.where, own.passed, into))[1])
 
     degree = degrees(ordinates.order)
     every, fewer = np.ones_like(degree, dtype=bool), _fewer(ordinates.order)
