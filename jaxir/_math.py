@@ -19,9 +19,18 @@ def on_platform(*operands: Any, cpu: Callable[..., Any], default: Callable[..., 
     Decided while tracing, by the default device: `lax.platform_dependent` would trace both. A program that is sent to
     another kind of device than the default one is right and slower.
     """
+    return (cpu if on_cpu() else default)(*operands)
+
+
+def on_cpu() -> bool:
+    """Whether JAX computes on processors, by the default device."""
     device = getattr(jax.config, "jax_default_device", None)
-    platform = jax.default_backend() if device is None else getattr(device, "platform", device)
-    return (cpu if platform == "cpu" else default)(*operands)
+    return (jax.default_backend() if device is None else getattr(device, "platform", device)) == "cpu"
+
+
+def at_once(count: int, more: int = 32) -> int:
+    """`count` things, whose data a processor's cache holds, or `more` times as many for a card's many threads."""
+    return count if on_cpu() else more * count
 
 
 def safe_sqrt(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
@@ -48,12 +57,14 @@ def gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_kernels(value: Float[Array, "ray *more"]) -> Float[Array, "ray *more"]:
-    """`value` as it is, in a way that keeps XLA's CPU compiler from making one function of the loop around it.
+    """`value` as it is, on a CPU in a way that keeps XLA from making one function of the loop around it.
 
     A loop of small arrays is best one native function. Of one that holds a whole image's work the compiler makes a
     function of some ten thousand lines, on one core, which takes as long as all else and runs no faster; it does not
     where a loop sorts, nor, for the transpose, where it scatters. So two numbers are sorted by their places.
     """
+    if not on_cpu():
+        return value
     first = lax.slice_in_dim(value, 0, min(2, value.shape[0]))
     flat = first.reshape(first.shape[0], -1)[:, 0]
     again = lax.sort((jnp.arange(flat.shape[0], dtype=jnp.int32), flat), num_keys=1)[1]

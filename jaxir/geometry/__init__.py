@@ -32,6 +32,7 @@ from jaxir.geometry._harmonics import sphere_rule as sphere_rule
 from jaxir.geometry._loops import bits as bits
 from jaxir.geometry._loops import for_each as for_each
 from jaxir.geometry._loops import greater as greater
+from jaxir.geometry._loops import in_blocks as in_blocks
 from jaxir.geometry._loops import item as item
 from jaxir.geometry._loops import largest as largest
 from jaxir.geometry._loops import lesser as lesser

@@ -91,6 +91,12 @@ def for_each(flags: Bool[Array, " item"], update: Callable[[Array, T], T], value
     return lax.while_loop(lambda carry: carry[0] < count, step, (first, value))[1]
 
 
+def in_blocks(array: Array, size: int) -> Array:
+    """Rows [ray, ...] as [block, size, ...], filled up with zeros."""
+    filling = [(0, -array.shape[0] % size)] + [(0, 0)] * (array.ndim - 1)
+    return jnp.pad(array, filling).reshape(-1, size, *array.shape[1:])
+
+
 BLOCK = 256  # rays that `where_some` looks through at a time
 
 

@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxir._math import on_platform
-from jaxir.geometry._loops import varying
+from jaxir.geometry._loops import in_blocks, varying
 
 
 class Hit(eqx.Module):
@@ -76,10 +76,7 @@ def _reattach_jvp(primals: tuple[Array, ...], tangents: tuple[Any, ...]) -> tupl
 def _by_blocks(vertices: Array, faces: Array, face: Array, origin: Array, direction: Array) -> tuple[Array, ...]:
     count = face.shape[0]
     size = min(_BLOCK, max(count, 1))
-    rays = [
-        jnp.pad(x, ((0, -count % size), *[(0, 0)] * (x.ndim - 1))).reshape(-1, size, *x.shape[1:])
-        for x in (face, origin, direction)
-    ]
+    rays = [in_blocks(x, size) for x in (face, origin, direction)]
 
     def one(block: list[Array]) -> tuple[Array, ...]:
         face, origin, direction = block

@@ -18,6 +18,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._arrays import require_shape
+from jaxir._math import at_once
 from jaxir.geometry._grid import Grid
 from jaxir.geometry._loops import greater, lesser, within
 from jaxir.geometry._ray import Rays
@@ -246,7 +247,7 @@ def _ray_crossings(
 def _lists(grid: Grid, rays: Rays, t_max: Array) -> tuple[Array, Array]:
     """Lists of all rays, `LIST_CHUNK` rays at a time."""
     every_ray = (rays.origin, rays.direction, t_max)
-    return lax.map(lambda ray: _ray_crossings(grid, *ray), every_ray, batch_size=LIST_CHUNK)
+    return lax.map(lambda ray: _ray_crossings(grid, *ray), every_ray, batch_size=at_once(LIST_CHUNK))
 
 
 def crossings(grid: Grid, rays: Rays, t_max: Float[Array, " ray"]) -> Crossings:

@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, as_float, enforce, is_traced, on_host, placed
-from jaxir._math import in_kernels
+from jaxir._math import at_once, in_kernels, on_cpu
 from jaxir._programs import program
 from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays, turns
 from jaxir.geometry.search import may_see
@@ -36,8 +36,8 @@ from jaxir.transport import (
 )
 
 TILES = 64  # of a chunk at most
-TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in the cache
-BLOCKS = 3  # in which the tiles of a chunk are traced at least, so that those that see nothing are left out
+TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in a processor's cache
+BLOCKS = 3  # in which the tiles of a chunk are traced at least on a CPU, so that those that see nothing are left out
 PARTS = 8  # chunks of a small image, for so many devices to share
 QUICK = 2**20  # work of an image that one program takes whole: a call for each chunk takes .5 ms each
 FEWER = 4  # times fewer tiles at once where paths may be long
@@ -144,14 +144,14 @@ class Pass(NamedTuple):
 
     def _cut(self) -> tuple[int, int, int]:
         each = self._each
-        at_once, share = self._at_once(each), min(max(TILES // each, 1), -(-self.tiles // self.parts))
-        strata = min(self.strata.together, max(at_once // 2, 1))
-        tiles = min(max(at_once // (2 * strata), 1), -(-share // BLOCKS))
+        side_by_side, share = self._at_once(each), min(max(at_once(TILES) // each, 1), -(-self.tiles // self.parts))
+        strata = min(self.strata.together, max(side_by_side // 2, 1))
+        tiles = min(max(side_by_side // (2 * strata), 1), -(-share // (BLOCKS if on_cpu() else 1)))
         return strata, tiles, tiles * -(-share // tiles)
 
     def _at_once(self, each: int) -> int:
         few = FEWER if self.method.bounces > 1 else 1  # most paths end soon, and all of them in many tiles
-        return max(TILES_AT_ONCE // (few * each), 1)
+        return max(at_once(TILES_AT_ONCE) // (few * each), 1)
 
     @property
     def _each(self) -> int:

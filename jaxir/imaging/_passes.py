@@ -88,7 +88,8 @@ def render(
             "parts" splits the skin's emission by its parts, too. On the same paths, each for about an evaluation.
 
     Returns:
-        The image. Memory beyond it is bounded by the rays of `TILES_AT_ONCE` tiles, 256 each.
+        The image. Memory beyond it is bounded by the rays of `TILES_AT_ONCE` tiles, 256 each;
+        of 32 times as many on a graphics card.
 
     Raises:
         ValueError: wrong shapes, values out of range, an eye inside the scene, tolerances inside jit, <= 0 or beyond

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
+from jaxir._math import at_once
 from jaxir.geometry import varying
 
 BLOCK = (64, 4096)  # least and most rays that are computed together
@@ -29,7 +30,7 @@ def for_active(function: Callable[[Any], Any], active: Bool[Array, " ray"], rays
         nodes: values per ray that `function` returns.
     """
     count = active.shape[0]
-    most = min(max(BLOCK_FLOATS // max(nodes, 1), BLOCK[0]), BLOCK[1], count)
+    most = min(max(at_once(BLOCK_FLOATS, 1024) // max(nodes, 1), BLOCK[0]), at_once(BLOCK[1]), count)
     upto = jnp.cumsum(active, dtype=jnp.int32)
     number = jnp.arange(count, dtype=jnp.int32)
     place = jnp.where(active, upto - 1, upto[-1] + number - upto)

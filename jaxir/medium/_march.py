@@ -117,7 +117,7 @@ def _radiance_adjoint(extinction, emission, behind, radiance, *rest, shape, wrt)
     """Cotangents of those of (extinction, emission, behind) that `wrt` marks."""
     parts = geometry_parts(shape)
     geometry, shapes = rest[:parts], (extinction.shape, emission.shape, behind.shape)
-    size = adjoint_rays(*behind.shape)
+    size = adjoint_rays(*behind.shape, cells=extinction.shape[0])
     extinction, emission, radiance, cotangent = alone(extinction, emission, radiance, rest[parts])
     sums = (jnp.zeros_like(extinction) if wrt[0] else None, jnp.zeros_like(emission) if wrt[1] else None)
 
@@ -178,7 +178,8 @@ def _depth_adjoint(*operands, shape):
 
     cells = shape[0] * shape[1] * shape[2]
     start = jnp.zeros((cells, cotangent.shape[1]), cotangent.dtype)
-    return [over_chunks(chunk, start, adjoint_rays(*cotangent.shape), geometry, (cotangent,), shape)[0]]
+    size = adjoint_rays(*cotangent.shape, cells=cells)
+    return [over_chunks(chunk, start, size, geometry, (cotangent,), shape)[0]]
 
 
 def _like_ray(operands: tuple, node_axis_of: Any) -> Any:

@@ -17,9 +17,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array
 
+from jaxir._math import on_cpu
 from jaxir.geometry import Grid, Segments, Walk, slab_segments, start_walk
 
 CHUNK = 128  # consecutive rays carried together: enough to fill the vector units, few enough to stay alike
+CARD_CHUNK = 1 << 18  # on graphics cards, where a step of a loop takes as long whatever the rays
 FEW = 4  # nodes that are carried for many rays at a time, and rays whose adjoint is carried whatever the nodes
 
 Lists = tuple[Array, ...]
@@ -44,11 +46,15 @@ def chunk_rays(rays: int, nodes: int) -> int:
 
     Several nodes fill the vector units by themselves, and XLA reads the row of one cell twice as fast as rows of many.
     """
+    if not on_cpu():
+        return max(1, min(CARD_CHUNK, rays))
     return max(1, min(CHUNK, rays)) if nodes <= FEW else 1
 
 
-def adjoint_rays(rays: int, nodes: int) -> int:
+def adjoint_rays(rays: int, nodes: int, cells: int) -> int:
     """The same for an adjoint, whose many steps cost more per ray than the rows they are scattered to."""
+    if not on_cpu():
+        return max(1, min(CARD_CHUNK, rays, _rays_of_a_sum(rays, cells)))
     return max(1, min(CHUNK, rays, max(FEW, 1024 // max(nodes, 1))))
 
 
@@ -60,15 +66,20 @@ def _chunked(array: Array, group: int, size: int) -> Array:
 
 
 def _chunks_together(state: Any, rays: int, size: int) -> int:
-    """How many chunks are summed together before their sum is added to that of the others.
+    """How many chunks are summed together before their sum is added to that of the others."""
+    cells = max((leaf.shape[0] for leaf in jax.tree.leaves(state)), default=0)
+    every = -(-rays // size)
+    return min(every, max(1, -(-_rays_of_a_sum(rays, cells) // size))) if cells else max(every, 1)
+
+
+def _rays_of_a_sum(rays: int, cells: int) -> int:
+    """How many rays are summed before their sum is added to that of the others.
 
     One number to which a million rays add, one after the other, loses three digits of float32. Sums of about the square
     root of all rays, and as many of them, keep them; a field of many cells gets fewer sums, as it gets fewer rays for
     each cell, so that adding fields costs less than crossing them.
     """
-    cells = max((leaf.shape[0] for leaf in jax.tree.leaves(state)), default=0)
-    every = -(-rays // size)
-    return min(every, max(1, -(-max(math.isqrt(rays), cells) // size))) if cells else max(every, 1)
+    return max(math.isqrt(rays), cells)
 
 
 def over_chunks(

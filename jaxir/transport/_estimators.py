@@ -27,7 +27,7 @@ from jax import lax
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import require_shape
-from jaxir._math import sum_before
+from jaxir._math import at_once, sum_before
 from jaxir.geometry import LIST_CHUNK, Crossings, Rays, crossings
 from jaxir.medium import CellMedium, crossing_sum
 from jaxir.optics import SERIES_BELOW, across_layer, phi1, phi2
@@ -303,4 +303,4 @@ def estimate(lit: Lit, paths: Paths, estimator: AbstractPathEstimator, key: Key[
 
     u = jax.random.uniform(key, (paths.rays.count,), behind.dtype)
     each = (paths.rays.origin, paths.rays.direction, paths.length, behind, u)
-    return lit.through_air(lax.map(one, each, batch_size=LIST_CHUNK))
+    return lit.through_air(lax.map(one, each, batch_size=at_once(LIST_CHUNK)))

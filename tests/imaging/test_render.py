@@ -213,3 +213,21 @@ def test_the_error_of_what_is_faint_is_not_lost():
     image = jaxir.render(jaxir.Scene(plate()), jaxir.orthographic_camera(20.0, 0.0, 0.09, (16, 16)), jaxir.MWIR)
     faint = eqx.tree_at(lambda i: i.standard_error, image, image.standard_error * 1e-25)
     np.testing.assert_allclose(faint.intensity_error() * 1e25, image.intensity_error(), rtol=1e-5)
+
+
+def test_a_graphics_card_would_draw_the_same_image(monkeypatch):
+    """In its order of computing; an image of one tile has the same random numbers there."""
+    body = jaxir.Skin(box_mesh((1.0, 1.2, 0.8), (0.3, 0.0, 0.0)), 300.0, jaxir.Lambert(0.6))
+    lights = (
+        jaxir.ParallelSource((-0.6, 0.0, -0.8), 50.0),
+        jaxir.DiscSource((0.0, 0.0, 3.0), (0.0, 0.0, -1.0), 1.0, 80.0),
+    )
+    scene = jaxir.Scene(body, gray_box((2.0, 1.0, 1.0), 0.4), lights, jaxir.BlackbodyBackground(280.0))
+    camera = jaxir.orthographic_camera(30.0, 20.0, 0.2, (16, 16))
+    drawn = []
+    for backend in ("cpu", "gpu"):
+        monkeypatch.setattr(jax, "default_backend", lambda backend=backend: backend)
+        image = jaxir.render(scene, camera, (jaxir.MWIR, jaxir.LWIR), samples=4, method=jaxir.Method(bounces=2))
+        drawn.append(np.asarray(image.radiance))
+    assert np.ptp(drawn[0]) > 1.0
+    np.testing.assert_allclose(drawn[1], drawn[0], rtol=1e-5)

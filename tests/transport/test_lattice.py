@@ -31,6 +31,17 @@ def test_what_rays_read_is_the_sum_it_says(x64):
     np.testing.assert_allclose(both, np.stack([expected, 2 * expected]), rtol=1e-13)
 
 
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])
+def test_what_rays_read_is_the_same_in_the_order_of_a_graphics_card(x64, monkeypatch, backend):
+    place, share, passed, lobe, table = _reading(1)
+    expected, pull = jax.vjp(lambda table: collected(place, share, passed, lobe, table), table)
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    again = [jnp.concatenate([x, x]) for x in (place, share, passed, lobe)]  # of another shape: compiled anew
+    both, pull_both = jax.vjp(lambda table: collected(*again, table), table)
+    np.testing.assert_allclose(both, jnp.concatenate([expected, expected]), rtol=1e-13)
+    np.testing.assert_allclose(pull_both(both)[0], 2 * pull(expected)[0], rtol=1e-13)
+
+
 def test_what_rays_read_is_differentiable_in_all_but_the_place(x64):
     """To second order, because solutions of the table's own equation are differentiated, too."""
     place, *others = _reading()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import sequential_vmap
@@ -12,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._math import dot, matmul, on_platform
 from jaxir.geometry import bits, greater, item, largest, lesser, lowest_bit, octant, row, smallest, varying
-from jaxir.geometry.search._single import DOUBT, NONE, Query, settled
+from jaxir.geometry.search._single import DOUBT, NONE, Query, settled, side_by_side
 from jaxir.geometry.search._tree import FAR, WIDTH, Tree
 
 TILE = 256  # rays tested together
@@ -82,17 +81,20 @@ def _search(tree: Tree, view: View, before: Array, side: int) -> Int[Array, " ra
         return search_tile(scene, Tile(screen[:, 0], screen[:, 1], limit, None), side, any_hit=False)
 
     def by_tiles() -> Array:
-        return on_platform(
-            (screen, limit), cpu=lambda tiles: lax.map(one, tiles), default=lambda tiles: jax.vmap(one)(tiles)
-        ).reshape(-1)[:count]
+        return lax.map(one, (screen, limit)).reshape(-1)[:count]
 
     def undecided() -> Array:
         active = jnp.ones(count, bool) if view.limit is None else view.limit > -BEYOND
         return varying(jnp.where(active, jnp.int32(DOUBT), jnp.int32(NONE)), view.screen)
 
-    face = lax.cond(before, by_tiles, undecided)
     sign = jnp.where(before, -side, 0)
-    return settled(tree, face, (view.screen, view.limit), lambda ray: _ask(view, sign, *ray))
+    rays = view.screen, None if view.limit is None else jnp.maximum(view.limit, -BEYOND)
+
+    def ask(ray: tuple[Array, Array | None]) -> Query:
+        return _ask(view, sign, *ray)
+
+    face = on_platform(cpu=lambda: lax.cond(before, by_tiles, undecided), default=lambda: side_by_side(tree, rays, ask))
+    return settled(tree, face, rays, ask)
 
 
 def _ask(view: View, side: Array, screen: Array, limit: Array | None) -> Query:

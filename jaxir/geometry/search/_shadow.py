@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -12,10 +11,10 @@ from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._math import on_platform
-from jaxir.geometry import Rays, corners_of, dot, for_each, unit_normal, varying
+from jaxir.geometry import Rays, corners_of, dot, for_each, in_blocks, unit_normal, varying
 from jaxir.geometry.search._bundles import BEYOND, TILE, Tile, dual, project, search_tile, see
 from jaxir.geometry.search._mesh import Mesh, any_hit, off_face
-from jaxir.geometry.search._single import NONE, Query, settled
+from jaxir.geometry.search._single import NONE, Query, settled, side_by_side
 
 
 def occluded(
@@ -133,15 +132,18 @@ def _occluded(
         near, looking = jnp.zeros((), double), jnp.full((), side, double)
         return Query(origin, direction, near, far, skip, looking, jnp.asarray(True))
 
-    count = len(point)
-    size = min(TILE, -(-count // 16) * 16)
-    tiles = [
-        jnp.pad(x, ((0, -count % size), *[(0, 0)] * (x.ndim - 1))).reshape(-1, size, *x.shape[1:])
-        for x in (point, face, active)
-    ]
-    found = on_platform(
-        *tiles, cpu=partial(_where_active, tile), default=lambda *tiles: jax.vmap(tile)(*tiles)
-    ).reshape(-1)[:count]
+    def by_tiles(*rays: Array) -> Array:
+        count = len(point)
+        size = min(TILE, -(-count // 16) * 16)
+        return _where_active(tile, *(in_blocks(x, size) for x in rays)).reshape(-1)[:count]
+
+    def all_at_once(point: Array, face: Array, active: Array) -> Array:
+        found = side_by_side(tree, (point, face), ask)
+        if mesh.closed:
+            found = jnp.where((face >= 0) & (start(point, face)[1] <= 0), 0, found)
+        return jnp.where(active, found, NONE)
+
+    found = on_platform(point, face, active, cpu=by_tiles, default=all_at_once)
     return settled(tree, found, (point, face), ask) >= 0
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,11 +13,12 @@ from jax.custom_batching import custom_vmap, sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._math import on_platform
-from jaxir.geometry import bits, greater, item, lesser, lowest_bit, octant, row, varying, where_some
+from jaxir.geometry import bits, dot, greater, in_blocks, item, lesser, lowest_bit, octant, row, varying, where_some
 from jaxir.geometry.search._tree import WIDTH, Tree
 
 NONE = -2  # no face
 DOUBT = -1  # rounding leaves open whether a face is met that would come first
+TESTS = 1 << 24  # of a ray and a face that `side_by_side` makes at once: bounds memory
 _FAR = 3e38
 _ROUNDING = 11.0  # bound of the rounding of an edge's moment, in units of the last place, see `_leaf_hits`
 
@@ -72,12 +74,32 @@ def search_single(tree: Tree, query: Query) -> Int[Array, " ray"]:
 
 
 def _search(tree: Tree, query: Query) -> Int[Array, " ray"]:
-    def one(ray: Query) -> Array:
-        with jax.enable_x64(True):
-            return _search_ray(tree, _approach(tree, ray, tree.leaves.dtype), settle=False)
+    def one_by_one(query: Query) -> Array:
+        def one(ray: Query) -> Array:
+            with jax.enable_x64(True):
+                return _search_ray(tree, _approach(tree, ray, tree.leaves.dtype), settle=False)
 
-    face = on_platform(query, cpu=lambda query: lax.map(one, query), default=lambda query: jax.vmap(one)(query))
+        return lax.map(one, query)
+
+    face = on_platform(query, cpu=one_by_one, default=lambda query: side_by_side(tree, query, lambda ray: ray))
     return settled(tree, face, query, lambda ray: ray)
+
+
+def side_by_side(tree: Tree, rays: Any, ask: Callable[[Any], Query]) -> Int[Array, " ray"]:
+    """The face that each ray meets, `NONE` or `DOUBT`, by a test of every face: for graphics cards.
+
+    On these a step of a loop costs as much as a hundred million tests of a face, and rays in lockstep take all steps of
+    all of them. Time and memory grow with the number of faces; see `settled` for `rays` and `ask`.
+    """
+
+    def one(rays: Any) -> Array:
+        with jax.enable_x64(True):
+            return _try_all(tree, _approach(tree, ask(rays), tree.leaves.dtype), settle=False)
+
+    count = jax.tree.leaves(rays)[0].shape[0]
+    size = min(max(TESTS // tree.face.size, 1), max(count, 1))
+    blocks = jax.tree.map(lambda x: in_blocks(x, size), rays)
+    return lax.map(jax.vmap(one), blocks).reshape(-1)[:count]
 
 
 def settled(tree: Tree, face: Int[Array, " ray"], rays: Any, ask: Callable[[Any], Query]) -> Int[Array, " ray"]:
@@ -92,7 +114,8 @@ def settled(tree: Tree, face: Int[Array, " ray"], rays: Any, ask: Callable[[Any]
 
     def again(rays: Any) -> Array:
         with jax.enable_x64(True):
-            return _search_ray(tree, _approach(tree, ask(rays), jnp.dtype("float64")), settle=True)
+            ray = _approach(tree, ask(rays), jnp.dtype("float64"))
+            return on_platform(tree, ray, cpu=partial(_search_ray, settle=True), default=partial(_try_all, settle=True))
 
     return jnp.maximum(where_some(again, face == DOUBT, face, rays), -1)
 
@@ -126,8 +149,7 @@ def _search_ray(tree: Tree, ray: Query, settle: bool) -> Int[Array, ""]:
     """
     origin, direction, near, far = ray.origin, ray.direction, ray.near, ray.far
     dtype = origin.dtype
-    reach = _radius(tree).astype(dtype) + jnp.sqrt(jnp.sum(origin * origin))
-    bound = _ROUNDING * float(jnp.finfo(dtype).eps) * reach
+    bound = _bound(tree, ray)
     inverse = 1 / jnp.where(jnp.abs(direction) > 1e-20, direction, 1e-20)
     shift = origin * inverse
     first = octant(direction)
@@ -179,6 +201,40 @@ def _search_ray(tree: Tree, ray: Query, settle: bool) -> Int[Array, ""]:
     return jnp.where(ray.some & (found >= 0) | (doubt == 0), found, jnp.int32(DOUBT))
 
 
+def _bound(tree: Tree, ray: Query) -> Float[Array, ""]:
+    """11 eps r of `_leaf_hits` [m]."""
+    reach = _radius(tree).astype(ray.origin.dtype) + jnp.sqrt(jnp.sum(ray.origin * ray.origin))
+    return _ROUNDING * float(jnp.finfo(ray.origin.dtype).eps) * reach
+
+
+def _try_all(tree: Tree, ray: Query, settle: bool) -> Int[Array, ""]:
+    """As `_search_ray`, by a test of every face, in one reduction."""
+    dtype, bound = ray.origin.dtype, _bound(tree, ray)
+    # arrays of all faces and no parts of arrays, or XLA writes what it computes of every ray and face to memory
+    table = tree.leaves.astype(dtype).reshape(tree.face.shape[0], 3, 5, -1)
+    corner = [[table[:, k, i] - ray.origin[k] for k in range(3)] for i in range(3)]
+    edges = [_moments(corner[(i + 1) % 3], corner[(i + 2) % 3], ray.direction, bound) for i in range(3)]
+    along = [ray.direction[k] for k in range(3)]
+    depth = [dot(along, p) for p in corner]
+    weight = [moment * error for moment, error in edges]
+    weighted = [w * d for w, d in zip(weight, depth, strict=True)]
+    moment, error = zip(*edges, strict=True)
+    t, unsure = _verdict(_Edges(moment, error, weight, depth, weighted), ray, tree.face, ray.far, settle)
+
+    def nearer(one: tuple[Array, ...], other: tuple[Array, ...]) -> tuple[Array, ...]:
+        # of two as near the same whatever the order
+        first = (one[0] < other[0]) | (one[0] == other[0]) & (one[1] <= other[1])
+        return *(jnp.where(first, a, b) for a, b in zip(one[:2], other[:2], strict=True)), one[2] | other[2]
+
+    every = t, tree.face, unsure
+    none = jnp.asarray(_FAR, dtype), jnp.int32(-1), jnp.asarray(False)
+    best, face, doubt = lax.reduce(every, none, nearer, (0, 1))
+    found = jnp.where(best < ray.far, face, jnp.int32(NONE))
+    if settle:
+        return found
+    return jnp.where(ray.some & (found >= 0) | ~doubt, found, jnp.int32(DOUBT))
+
+
 def _leaf_hits(
     leaf: Float[Array, " lane"],
     ray: Query,
@@ -213,35 +269,69 @@ def _leaf_hits(
     """
     slot = leaf.shape[0] // 15
     corner = [leaf[5 * k * slot : 5 * (k + 1) * slot] - ray.origin[k] for k in range(3)]
-    start = [c[slot : 4 * slot] for c in corner]
-    stop = [c[2 * slot :] for c in corner]
+    moment, error = _moments(
+        [c[slot : 4 * slot] for c in corner], [c[2 * slot :] for c in corner], ray.direction, bound
+    )
+    depth = dot([ray.direction[k] for k in range(3)], [c[: 3 * slot] for c in corner])
+    weight = moment * error
+
+    def by_edge(lanes: Array) -> list[Array]:
+        return [lanes[k * slot : (k + 1) * slot] for k in range(3)]
+
+    edges = _Edges(*(by_edge(lanes) for lanes in (moment, error, weight, depth, weight * depth)))
+    return _verdict(edges, ray, faces, best, settle)
+
+
+class _Edges(NamedTuple):
+    """Of the three edges of faces, see `_leaf_hits`.
+
+    Attributes:
+        moment: the ray's about each, in units of its error.
+        error: of the moments [m2].
+        weight: the moments [m2]; their sum is four times the face's area across the ray.
+        depth: along the ray of the corner opposite to each [m].
+        weighted: weight times depth [m3].
+    """
+
+    moment: Sequence[Array]
+    error: Sequence[Array]
+    weight: Sequence[Array]
+    depth: Sequence[Array]
+    weighted: Sequence[Array]
+
+
+def _moments(start: list[Array], stop: list[Array], direction: Array, bound: Array) -> tuple[Array, Array]:
+    """Moments of a ray about edges from `start` to `stop`, relative to its origin, in units of their errors; these."""
     sx, sy, sz = (p + q for p, q in zip(start, stop, strict=True))
     ex, ey, ez = (q - p for p, q in zip(start, stop, strict=True))
-    dx, dy, dz = ray.direction[0], ray.direction[1], ray.direction[2]
+    dx, dy, dz = direction[0], direction[1], direction[2]
     moment = dx * (sy * ez - sz * ey) + dy * (sz * ex - sx * ez) + dz * (sx * ey - sy * ex)
     error = bound * (jnp.abs(ex) + jnp.abs(ey) + jnp.abs(ez))
-    # in units of its error; the division also keeps XLA from computing the moment anew for all that follows
-    moment = moment / jnp.where(error > 0, error, 1)
-    depth = dx * corner[0][: 3 * slot] + dy * corner[1][: 3 * slot] + dz * corner[2][: 3 * slot]
-    parts = [slice(k * slot, (k + 1) * slot) for k in range(3)]
+    # the division also keeps XLA from computing the moment anew for all that follows
+    return moment / jnp.where(error > 0, error, 1), error
 
-    def fold(operation: Callable[..., Array], lanes: Array) -> Array:
-        return operation(operation(lanes[parts[0]], lanes[parts[1]]), lanes[parts[2]])
 
-    low, high = fold(lesser, moment), fold(greater, moment)
-    weight = moment * error
-    volume = fold(jnp.add, weight)
+def _verdict(
+    edges: _Edges, ray: Query, faces: Int[Array, "..."], best: Float[Array, ""], settle: bool
+) -> tuple[Float[Array, "..."], Bool[Array, "..."]]:
+    """Where a ray surely meets faces, and which others it may meet; as `_leaf_hits`."""
+
+    def fold(operation: Callable[..., Array], parts: Sequence[Array]) -> Array:
+        return operation(operation(parts[0], parts[1]), parts[2])
+
+    low, high = fold(lesser, edges.moment), fold(greater, edges.moment)
+    volume = fold(jnp.add, edges.weight)
     along, against = ray.side >= 0, ray.side <= 0
-    first, last = fold(lesser, depth), fold(greater, depth)
+    first, last = fold(lesser, edges.depth), fold(greater, edges.depth)
     other = faces != ray.skip
     if settle:
-        blur = fold(jnp.add, error)
+        blur = fold(jnp.add, edges.error)
         met = (low >= -1) & along & (volume > blur) | (high <= 1) & against & (volume < -blur)
     else:
         met = (low >= 1) & along | (high <= -1) & against
-    possible = ((low >= -1) & along | (high <= 1) & against) & (error[parts[0]] > 0) & ~met
+    possible = ((low >= -1) & along | (high <= 1) & against) & (edges.error[0] > 0) & ~met
     unsure = possible & other & (last > ray.near) & (first < best)
-    weighted = fold(jnp.add, weight * depth)
+    weighted = fold(jnp.add, edges.weighted)
     # a hit at or before `near` is none: weighted / volume > near, without a division
     met = met & other & (weighted * jnp.sign(volume) > ray.near * jnp.abs(volume))
     # a division comes last, or XLA computes all this anew for every use of t

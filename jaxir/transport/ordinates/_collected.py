@@ -10,13 +10,14 @@ cost nothing. Linear in the table; along the other factors the same sum in ordin
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxir._math import einsum
+from jaxir._math import einsum, on_platform
 from jaxir.medium import register_linear, streaming_primitive
 
 
@@ -40,7 +41,39 @@ def _over_steps(share: Array, one: Callable[[Array, Array, Array], Array], begin
     return lax.fori_loop(0, share.shape[1], step, begin)
 
 
-def _sum(place: Array, share: Array, passed: Array, lobe: Array, table: Array, *, rows: int) -> list:
+def _sum(*operands: Array, rows: int) -> list:
+    return on_platform(*operands, cpu=partial(_ray_by_ray, rows=rows), default=partial(_step_by_step, rows=rows))
+
+
+def _spread(*operands: Array, rows: int) -> list:
+    """The transpose: what each ray hands to the rows that it read."""
+    return on_platform(*operands, cpu=partial(_spread_by_ray, rows=rows), default=partial(_spread_by_step, rows=rows))
+
+
+def _step_by_step(place: Array, share: Array, passed: Array, lobe: Array, table: Array, *, rows: int) -> list:
+    """For graphics cards: a step of all rays at a time."""
+
+    def step(s: Array, total: Array) -> Array:
+        for k in range(share.shape[2]):
+            pair = (table[place[:, s, k] + j] * share[:, s, k, j, None, None] for j in range(2))
+            total = total + einsum("rhn,rh->rn", sum(pair), lobe) * passed[:, s]
+        return total
+
+    return [lax.fori_loop(0, share.shape[1], step, jnp.zeros((place.shape[0], table.shape[2]), table.dtype))]
+
+
+def _spread_by_step(place: Array, share: Array, passed: Array, lobe: Array, out: Array, *, rows: int) -> list:
+    def step(s: Array, table: Array) -> Array:
+        given = lobe[:, :, None] * (out * passed[:, s])[:, None]
+        for k in range(share.shape[2]):
+            for j in range(2):
+                table = table.at[place[:, s, k] + j].add(given * share[:, s, k, j, None, None])
+        return table
+
+    return [lax.fori_loop(0, share.shape[1], step, jnp.zeros((rows, lobe.shape[1], out.shape[1]), out.dtype))]
+
+
+def _ray_by_ray(place: Array, share: Array, passed: Array, lobe: Array, table: Array, *, rows: int) -> list:
     harmonics, nodes = table.shape[1:]
     flat = table.reshape(rows, -1)
 
@@ -57,9 +90,7 @@ def _sum(place: Array, share: Array, passed: Array, lobe: Array, table: Array, *
     return [lax.fori_loop(0, place.shape[0], ray, jnp.zeros((place.shape[0], nodes), table.dtype))]
 
 
-def _spread(place: Array, share: Array, passed: Array, lobe: Array, out: Array, *, rows: int) -> list:
-    """The transpose: what each ray hands to the rows that it read."""
-
+def _spread_by_ray(place: Array, share: Array, passed: Array, lobe: Array, out: Array, *, rows: int) -> list:
     def hand(i: Array, s: Array, table: Array) -> Array:
         given = lax.optimization_barrier((lobe[i][:, None] * (out[i] * passed[i, s])[None]).reshape(-1))
         for k in range(share.shape[2]):
