@@ -210,7 +210,7 @@ def _bound(tree: Tree, ray: Query) -> Float[Array, ""]:
 def _try_all(tree: Tree, ray: Query, settle: bool) -> Int[Array, ""]:
     """As `_search_ray`, by a test of every face, in one reduction."""
     dtype, bound = ray.origin.dtype, _bound(tree, ray)
-    # arrays of all faces and no parts of arrays, or XLA writes what it computes of every ray and face to memory
+    # no parts of arrays: XLA would write all that is computed of every ray and face to memory, of these only moments
     table = tree.leaves.astype(dtype).reshape(tree.face.shape[0], 3, 5, -1)
     corner = [[table[:, k, i] - ray.origin[k] for k in range(3)] for i in range(3)]
     edges = [_moments(corner[(i + 1) % 3], corner[(i + 2) % 3], ray.direction, bound) for i in range(3)]
