@@ -100,7 +100,12 @@ def test_plume_like_radiance(temperature, reference):
 def test_water_between_its_bands_is_that_of_hitemp():
     """The table is the excerpt's means, and its spline meets the excerpt's other temperatures."""
     made = h2o_windows.since_2012()
-    assert h2o_windows.PATH.read_text(encoding="utf-8").splitlines() == h2o_windows.lines_of_table(made)
+    kept, again = h2o_windows.PATH.read_text(encoding="utf-8").splitlines(), h2o_windows.lines_of_table(made)
+    assert [line.split(",")[:4] for line in kept] == [line.split(",")[:4] for line in again]
+    kept, again = (
+        np.array([line.split(",")[4:] for line in x if line.startswith("H2O")], float) for x in (kept, again)
+    )
+    np.testing.assert_allclose(again, kept, rtol=1e-3)  # of four digits the last may be rounded to either side
     apart = np.abs(h2o_windows.by_spline(made))
     assert apart.size > 100 and apart.max() < 0.12 and np.median(apart) < 0.006
 
