@@ -251,7 +251,7 @@ def solution_checks(lit: Lit) -> list[Check]:
     return [
         Check(f"{name}: optical depth between points", step, step <= THICK, f"<= {THICK}: more points, {sample}"),
         Check(f"{name}: moment of a lobe backward", backward, backward <= LOBE, f"<= {LOBE}: more order, {sample}"),
-        Check(f"{name}: residual", residual, residual <= SOLVED, f"<= {SOLVED}, {sample}"),
+        Check(f"{name}: residual", residual, residual <= SOLVED, f"<= {SOLVED}: more points along plumes, {sample}"),
     ]
 
 
