@@ -65,7 +65,7 @@ class Effort:
     bins: tuple[float, int, int]  # width [cm-1], quantiles, quantiles per gas where two overlap
     depth: int  # largest number of reflections; 10 in Table 3
     error: float  # standard error of an intensity at most, as a share of it
-    points: tuple[int, int]  # of the lattice of scattered light along the plume and across it
+    points: tuple[int, ...]  # of the lattice of scattered light along the plume and across it, and its order
 
     @property
     def method(self) -> jaxir.Method:
@@ -73,7 +73,7 @@ class Effort:
         return jaxir.Method(bounces=self.depth, scattering=jaxir.DiscreteOrdinates(*self.points))
 
 
-FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10, error=0.02, points=(41, 13))
+FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10, error=0.02, points=(41, 9, 5))
 QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6, error=1.0, points=(41, 9))
 
 
