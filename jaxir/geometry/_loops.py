@@ -101,9 +101,12 @@ BLOCK = 256  # rays that `where_some` looks through at a time
 
 
 def where_some(
-    function: Callable[[Any], Array], some: Bool[Array, " ray"], value: Shaped[Array, " ray"], rays: Any
+    function: Callable[[Any], Array], some: Bool[Array, " ray"], value: Shaped[Array, " ray"], rays: Any, most: int
 ) -> Shaped[Array, " ray"]:
-    """`value` [ray] with `function` of one ray's rows of `rays` where `some`; costs little where few are."""
+    """`value` [ray] with `function` of one ray's rows of `rays` where `some`; costs little where few are.
+
+    On graphics cards so many as `most` rays are taken at once.
+    """
     count = value.shape[0]
 
     def one_by_one(some: Array, value: Array, rays: Any) -> Array:
@@ -121,15 +124,16 @@ def where_some(
 
     def by_blocks(some: Array, value: Array, rays: Any) -> Array:
         """All such rays gathered to full blocks, whose rays go in lockstep."""
-        order = jnp.pad(jnp.argsort(~some, stable=False).astype(jnp.int32), (0, -count % BLOCK))
+        size = min(BLOCK, most)
+        order = jnp.pad(jnp.argsort(~some, stable=False).astype(jnp.int32), (0, -count % size))
 
         def block(k: Array, value: Array) -> Array:
-            at = lax.dynamic_slice(order, (k * BLOCK,), (BLOCK,))
+            at = lax.dynamic_slice(order, (k * size,), (size,))
             found = jax.vmap(function)(jax.tree.map(lambda x: x[at], rays))
             return value.at[at].set(jnp.where(some[at], found, value[at]))
 
         zero = jnp.zeros((), jnp.int32)
-        stop = (jnp.sum(some, dtype=jnp.int32) + (BLOCK - 1)) // BLOCK
+        stop = (jnp.sum(some, dtype=jnp.int32) + (size - 1)) // size
         return lax.fori_loop(zero, stop, block, varying(value, some))
 
     return on_platform(some, value, rays, cpu=one_by_one, default=by_blocks)

@@ -97,7 +97,7 @@ def side_by_side(tree: Tree, rays: Any, ask: Callable[[Any], Query]) -> Int[Arra
             return _try_all(tree, _approach(tree, ask(rays), tree.leaves.dtype), settle=False)
 
     count = jax.tree.leaves(rays)[0].shape[0]
-    size = min(max(TESTS // tree.face.size, 1), max(count, 1))
+    size = min(_most(tree), max(count, 1))
     blocks = jax.tree.map(lambda x: in_blocks(x, size), rays)
     return lax.map(jax.vmap(one), blocks).reshape(-1)[:count]
 
@@ -117,7 +117,12 @@ def settled(tree: Tree, face: Int[Array, " ray"], rays: Any, ask: Callable[[Any]
             ray = _approach(tree, ask(rays), jnp.dtype("float64"))
             return on_platform(tree, ray, cpu=partial(_search_ray, settle=True), default=partial(_try_all, settle=True))
 
-    return jnp.maximum(where_some(again, face == DOUBT, face, rays), -1)
+    return jnp.maximum(where_some(again, face == DOUBT, face, rays, _most(tree)), -1)
+
+
+def _most(tree: Tree) -> int:
+    """Rays of which every face is tested at once."""
+    return max(TESTS // tree.face.size, 1)
 
 
 def _approach(tree: Tree, ray: Query, dtype: Any) -> Query:

@@ -4,7 +4,8 @@
 
 with j of 0 and 1: rows are read in pairs that follow one another. As operations of arrays each of its numbers is
 fetched by an index of its own; row by row they are read as they lie, several times faster, and steps without shares
-cost nothing. Linear in the table; along the other factors the same sum in ordinary operations is differentiated.
+cost nothing; graphics cards take a step of all rays at a time. Linear in the table; along the other factors the same
+sum in ordinary operations is differentiated.
 """
 
 from __future__ import annotations
