@@ -111,7 +111,7 @@ def where_some(
 
     def one_by_one(some: Array, value: Array, rays: Any) -> Array:
         """Blocks with any such ray one after another, and in them ray after ray."""
-        flags, values = (jnp.pad(x, (0, -count % BLOCK)).reshape(-1, BLOCK) for x in (some, value))
+        flags, values = (in_blocks(x, BLOCK) for x in (some, value))
 
         def block(k: Array, values: Array) -> Array:
             def ray(at: Array, values: Array) -> Array:

@@ -201,9 +201,12 @@ def _search_ray(tree: Tree, ray: Query, settle: bool) -> Int[Array, ""]:
 
     state = varying((far, jnp.full((), NONE, jnp.int32), jnp.zeros((), jnp.int32)), direction[0])
     _, found, doubt = visit(0, jnp.zeros((), jnp.int32), state)
-    if settle:
-        return found
-    return jnp.where(ray.some & (found >= 0) | (doubt == 0), found, jnp.int32(DOUBT))
+    return _answer(ray, found, doubt != 0, settle)
+
+
+def _answer(ray: Query, found: Int[Array, ""], doubt: Bool[Array, ""], settle: bool) -> Int[Array, ""]:
+    """The face `found`; or `DOUBT`, unless told to settle or where any face will do and one was met."""
+    return found if settle else jnp.where(ray.some & (found >= 0) | ~doubt, found, jnp.int32(DOUBT))
 
 
 def _bound(tree: Tree, ray: Query) -> Float[Array, ""]:
@@ -221,10 +224,8 @@ def _try_all(tree: Tree, ray: Query, settle: bool) -> Int[Array, ""]:
     edges = [_moments(corner[(i + 1) % 3], corner[(i + 2) % 3], ray.direction, bound) for i in range(3)]
     along = [ray.direction[k] for k in range(3)]
     depth = [dot(along, p) for p in corner]
-    weight = [moment * error for moment, error in edges]
-    weighted = [w * d for w, d in zip(weight, depth, strict=True)]
     moment, error = zip(*edges, strict=True)
-    t, unsure = _verdict(_Edges(moment, error, weight, depth, weighted), ray, tree.face, ray.far, settle)
+    t, unsure = _verdict(_Edges(moment, error, depth), ray, tree.face, ray.far, settle)
 
     def nearer(one: tuple[Array, ...], other: tuple[Array, ...]) -> tuple[Array, ...]:
         # of two as near the same whatever the order
@@ -234,10 +235,7 @@ def _try_all(tree: Tree, ray: Query, settle: bool) -> Int[Array, ""]:
     every = t, tree.face, unsure
     none = jnp.asarray(_FAR, dtype), jnp.int32(-1), jnp.asarray(False)
     best, face, doubt = lax.reduce(every, none, nearer, (0, 1))
-    found = jnp.where(best < ray.far, face, jnp.int32(NONE))
-    if settle:
-        return found
-    return jnp.where(ray.some & (found >= 0) | ~doubt, found, jnp.int32(DOUBT))
+    return _answer(ray, jnp.where(best < ray.far, face, jnp.int32(NONE)), doubt, settle)
 
 
 def _leaf_hits(
@@ -278,12 +276,11 @@ def _leaf_hits(
         [c[slot : 4 * slot] for c in corner], [c[2 * slot :] for c in corner], ray.direction, bound
     )
     depth = dot([ray.direction[k] for k in range(3)], [c[: 3 * slot] for c in corner])
-    weight = moment * error
 
     def by_edge(lanes: Array) -> list[Array]:
         return [lanes[k * slot : (k + 1) * slot] for k in range(3)]
 
-    edges = _Edges(*(by_edge(lanes) for lanes in (moment, error, weight, depth, weight * depth)))
+    edges = _Edges(*(by_edge(lanes) for lanes in (moment, error, depth)))
     return _verdict(edges, ray, faces, best, settle)
 
 
@@ -293,16 +290,12 @@ class _Edges(NamedTuple):
     Attributes:
         moment: the ray's about each, in units of its error.
         error: of the moments [m2].
-        weight: the moments [m2]; their sum is four times the face's area across the ray.
         depth: along the ray of the corner opposite to each [m].
-        weighted: weight times depth [m3].
     """
 
     moment: Sequence[Array]
     error: Sequence[Array]
-    weight: Sequence[Array]
     depth: Sequence[Array]
-    weighted: Sequence[Array]
 
 
 def _moments(start: list[Array], stop: list[Array], direction: Array, bound: Array) -> tuple[Array, Array]:
@@ -325,7 +318,8 @@ def _verdict(
         return operation(operation(parts[0], parts[1]), parts[2])
 
     low, high = fold(lesser, edges.moment), fold(greater, edges.moment)
-    volume = fold(jnp.add, edges.weight)
+    weight = [moment * error for moment, error in zip(edges.moment, edges.error, strict=True)]
+    volume = fold(jnp.add, weight)  # four times the face's area across the ray
     along, against = ray.side >= 0, ray.side <= 0
     first, last = fold(lesser, edges.depth), fold(greater, edges.depth)
     other = faces != ray.skip
@@ -336,7 +330,7 @@ def _verdict(
         met = (low >= 1) & along | (high <= -1) & against
     possible = ((low >= -1) & along | (high <= 1) & against) & (edges.error[0] > 0) & ~met
     unsure = possible & other & (last > ray.near) & (first < best)
-    weighted = fold(jnp.add, edges.weighted)
+    weighted = fold(jnp.add, [w * depth for w, depth in zip(weight, edges.depth, strict=True)])
     # a hit at or before `near` is none: weighted / volume > near, without a division
     met = met & other & (weighted * jnp.sign(volume) > ray.near * jnp.abs(volume))
     # a division comes last, or XLA computes all this anew for every use of t
