@@ -135,9 +135,10 @@ class Method(Physical):
     plume light of parallel sources scattered once towards the segment's begin is one, too, with each cell lit as its
     centre is: u0 (u0 + 2 u) / 24 of a cell's share is left out, u0 and u being its optical depths towards the source
     and along the segment. What is scattered otherwise is sampled: one place on each segment, always in the plume
-    (forced collision), lit there by every source that is not summed, and from there a direction drawn from the phase
-    function, the next segment. A path that meets reflecting skin while `bounces` are left goes on either from a
-    particle or from the skin, as a photon would; it goes on max(orders, bounces) times at most.
+    (forced collision), lit there by every source that is not summed, and from there a direction, the next segment,
+    drawn from the phase function about that of the path, of one in four about that towards a source without extent. A
+    path that meets reflecting skin while `bounces` are left goes on either from a particle or from the skin, as a
+    photon would; it goes on max(orders, bounces) times at most.
 
     Attributes:
         direct: how light straight from sources with an extent and from the surroundings (the background, and

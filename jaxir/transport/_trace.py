@@ -17,11 +17,13 @@ from jaxir.geometry import Bundle, Hit, Rays, no_hit
 from jaxir.geometry.search import any_hit, closest_hit
 from jaxir.scene import Scene
 from jaxir.scene.light import AbstractDeltaSource
-from jaxir.scene.plume import pdf_direction, sample_direction
+from jaxir.scene.plume import AbstractPlume, pdf_direction, sample_direction
 from jaxir.transport._direct import Onward, Points, Spread, from_points, sample_direct
 from jaxir.transport._lights import lights_at_particles, lights_at_skin
 from jaxir.transport._method import Method
 from jaxir.transport._paths import LightSamples, Paths, Scattering, Segment, Vertex
+
+TOWARD_SOURCES = 0.25  # share of directions in which particles scatter paths that are drawn about those to sources
 
 
 class _State(NamedTuple):
@@ -202,14 +204,39 @@ def _look_from_particles(
     """Lights and directions of scattering at points of particles."""
     plume = scene.plume
     assert plume is not None
-    spread = Spread(
-        lambda u: sample_direction(plume, u, point, rays.direction),
-        lambda w: pdf_direction(plume, dot(w, rays.direction), point),
-    )
+    spread = _scattered_by(scene, method, plume, point, rays.direction)
     free = jnp.full(active.shape, -1, jnp.int32)
     at = Points(point, rays.direction, free, active, above=False)
     go_on = active if method.orders else None
     return sample_direct(scene, method, lights_at_particles(scene, method), at, spread, key, go_on)
+
+
+def _scattered_by(scene: Scene, method: Method, plume: AbstractPlume, point: Array, along: Array) -> Spread:
+    """Directions of the phase function about that of a path, some about those to sources without extent.
+
+    Where a lobe is narrow most of a source's light comes to a path along the latter, which the former seldom are: each
+    would bring much, and most estimates be too small with a standard error that is, too.
+    """
+    axes, shares = [along], [1.0]
+    if method.orders > 1 and scene.delta_sources:
+        axes += list(_toward(scene.delta_sources, point)[0])
+        shares = [1 - TOWARD_SOURCES] + [TOWARD_SOURCES / len(scene.delta_sources)] * len(scene.delta_sources)
+
+    def sample(u: Array) -> Array:
+        first, begin, axis = u[:, 0], 0.0, along
+        for share, other in zip(shares, axes, strict=True):  # what is left of a number is uniform again
+            inside = u[:, 0] >= begin
+            axis = jnp.where(inside[:, None], other, axis)
+            first = jnp.where(inside, (u[:, 0] - begin) / share, first)
+            begin += share
+        first = jnp.clip(first, 0, 1 - jnp.finfo(first.dtype).epsneg)
+        return sample_direction(plume, jnp.stack([first, u[:, 1]], axis=1), point, axis)
+
+    def pdf(omega: Array) -> Array:
+        each = [share * pdf_direction(plume, dot(omega, axis), point) for share, axis in zip(shares, axes, strict=True)]
+        return sum(each[1:], each[0])
+
+    return Spread(sample, pdf)
 
 
 def _look_for_deltas(scene: Scene, method: Method, point: Array, active: Array) -> tuple[Array, Array, Array]:

@@ -15,12 +15,12 @@ from jaxtyping import Array, Int
 from jaxir._arrays import fingerprint, is_traced, placed
 from jaxir._concurrent import each_of
 from jaxir._programs import of_items, program
-from jaxir.geometry import Camera, Rays
+from jaxir.geometry import Camera
 from jaxir.medium import AbstractMedium
 from jaxir.scene import Lit
 from jaxir.transport._method import DiscreteOrdinates, Method
-from jaxir.transport._trace import trace
-from jaxir.transport.evaluation._segments import brings
+from jaxir.transport._paths import Paths
+from jaxir.transport.evaluation._segments import behind_plumes
 from jaxir.transport.ordinates import Posed, Scattered, Solution, finished, posed, solution
 
 
@@ -87,13 +87,11 @@ def _posed(lit: Lit, method: Method) -> Posed:
     assert method.scattering is not None
     alone = dataclasses.replace(method, orders=0, scattering=dataclasses.replace(method.scattering, orders=0))
 
-    def arriving(lit: Lit, rays: Rays) -> tuple[Array, Array]:
-        paths = trace(lit.scene, rays, alone, jax.random.key(0))
+    def behind(lit: Lit, paths: Paths) -> Array:
         around = jnp.ones(paths.length.shape, bool) if paths.first.sees_surroundings is None else None
-        segment = dataclasses.replace(paths.first, sees_surroundings=around)
-        return brings(lit, paths, segment, False, True), paths.length
+        return behind_plumes(lit, alone, dataclasses.replace(paths.first, sees_surroundings=around), False, True)
 
-    return posed(lit, method.scattering, arriving)
+    return posed(lit, alone, behind)
 
 
 @program

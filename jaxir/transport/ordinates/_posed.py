@@ -47,7 +47,9 @@ from jaxir.medium import (
     panel_weights,
 )
 from jaxir.scene import Lit
-from jaxir.transport._method import DiscreteOrdinates
+from jaxir.transport._method import DiscreteOrdinates, Method
+from jaxir.transport._paths import Paths
+from jaxir.transport.ordinates._entering import entering, length_of, level_of
 from jaxir.transport.ordinates._lattice import FINER, Between, Lattice, about, beside, lattice_of, places
 from jaxir.transport.ordinates._part import Beam
 
@@ -109,14 +111,13 @@ class Posed(NamedTuple):
     scale: Array
 
 
-def posed(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays], tuple[Array, Array]]) -> Posed:
+def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths], Array]) -> Posed:
     """The equations of the light in the plumes of a scene.
 
     Args:
         lit: the scene on the nodes.
-        ordinates: how finely.
-        arriving: radiance at the origins of rays in a scene whose particles do not scatter [ray, node], and how far
-            they go [ray] [m].
+        method: how finely, and how light is found that skin sends into the plumes.
+        behind: what enters paths of one segment at their far ends [ray, node].
 
     Raises:
         ValueError: more numbers than `MOST` would be kept.
@@ -124,7 +125,8 @@ def posed(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays]
     This, `solution` and `finished` are differentiable, in both modes, in all that `lit` is differentiable in: the
     equation's solution has its own rule.
     """
-    assert lit.medium is not None
+    assert lit.medium is not None and method.scattering is not None
+    ordinates = method.scattering
     order, nodes, given = ordinates.order, lit.nodes.count, lit.medium
     _require_that_it_fits(given, ordinates, nodes)
     moments = [_moments(part, order, nodes) for part in given.parts_with_particles]
@@ -135,6 +137,8 @@ def posed(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays]
     direction, _, by_direction = rule(order, medium)
 
     groups = -(-nodes // TOGETHER)
+    length = lax.map(lambda own: length_of(lit.scene, Rays(point, jnp.broadcast_to(-own, point.shape))), direction)
+    level = level_of(lit, length)
 
     def grouped(of_nodes: Array) -> Array:
         """Groups of nodes of a table [group, ..., node]."""
@@ -142,14 +146,15 @@ def posed(lit: Lit, ordinates: DiscreteOrdinates, arriving: Callable[[Lit, Rays]
         filled = jnp.pad(of_nodes, [(0, 0)] * (of_nodes.ndim - 1) + [(0, groups * many - nodes)])
         return jnp.moveaxis(filled.reshape(*of_nodes.shape[:-1], groups, many), -2, 0)
 
-    def ahead(total: Array, own: tuple[Array, Array]) -> tuple[Array, list[tuple[Between, Array]]]:
+    def ahead(total: Array, own: tuple[Array, Array, Array]) -> tuple[Array, list[tuple[Between, Array]]]:
         rays = Rays(point, jnp.broadcast_to(-own[0], point.shape))
-        came, length = arriving(lit, rays)
-        steps = _ahead(medium, list(zip(parts, lattices, strict=True)), rays, length)
+        came = medium.radiance(rays, own[2], level.toward(lit, rays.direction))
+        steps = _ahead(medium, list(zip(parts, lattices, strict=True)), rays, own[2])
         return total + own[1][None, :, None] * came[:, None], [(between, grouped(passed)) for between, passed in steps]
 
     none = jnp.zeros((point.shape[0], by_direction.shape[1], nodes), point.dtype)
-    unscattered, routes = lax.scan(ahead, none, (direction, by_direction))
+    unscattered, routes = lax.scan(ahead, none, (direction, by_direction, length))
+    unscattered = unscattered + entering(lit, method, point, order, level, behind)
     where, passed = [route[0] for route in routes], [jnp.moveaxis(route[1], 1, 0) for route in routes]
     beams = [
         tuple(_beam(lit, medium, given, part, lattice, source) for source in lit.scene.delta_sources)
