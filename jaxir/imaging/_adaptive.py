@@ -30,10 +30,7 @@ from jaxir._concurrent import each_of
 from jaxir._programs import of_items, program
 from jaxir.geometry import TILE, Camera, places_in
 from jaxir.imaging._chunks import (
-    Estimate,
     Pass,
-    Seen,
-    Varied,
     as_number,
     estimate_chunk,
     every_pixel,
@@ -42,6 +39,7 @@ from jaxir.imaging._chunks import (
     whole_image,
 )
 from jaxir.imaging._devices import over_items, progress
+from jaxir.imaging._estimate import Estimate, Seen, Varied, of_strata
 from jaxir.imaging._image import Image, joined
 from jaxir.imaging._placement import Law, law_of
 from jaxir.imaging._tolerance import FIRST, Goal, excess
@@ -204,7 +202,7 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
     rows = count // strata.columns
     pixels = np.stack([strata.row * taken.camera.shape[1] + strata.column, end - count, strata.columns, rows], axis=1)
 
-    def seen_at(number: int) -> tuple[np.ndarray, np.ndarray, tuple[Seen, Varied]]:
+    def seen_at(number: int) -> tuple[np.ndarray, np.ndarray, tuple[Seen, Varied, Varied]]:
         """Pixels of a chunk of strata, of which the last fill up the last chunk, and where each begins in it."""
         begin, last = number * size, min((number + 1) * size, int(end[-1]))
         pixel = np.arange(*np.searchsorted(end, (begin, last - 1), side="right") + (0, 1))
@@ -213,7 +211,8 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
         spots = np.repeat(pixels[pixel], each, axis=0).astype(np.int32)
         spots[:, 1] = np.minimum(np.arange(begin, begin + size), last - 1) - spots[:, 1]
         seen = jax.device_get(own((placed(np.uint32(number)), placed(spots))))
-        return pixel, place, jax.tree.map(lambda leaf: leaf[: last - begin], seen)
+        mean, apart = jax.tree.map(lambda leaf: leaf[: last - begin], seen)
+        return pixel, place, (mean, apart, jax.tree.map(lambda leaf: np.square(leaf, dtype=np.float64), apart))
 
     chunks = -(-int(end[-1]) // size)
     with progress("render", chunks) as done:
@@ -222,8 +221,8 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
                 sums = jax.tree.map(lambda leaf: np.zeros((count.size, *leaf.shape[1:])), seen)
             jax.tree.map(partial(_add_by_pixel, pixel, place), sums, seen)
             done(1)
-    seen, apart = sums
-    apart = jax.tree.map(np.square, apart)
+    mean, apart, square = sums
+    apart, by_strata = jax.tree.map(np.square, apart), count**2.0 / of_strata(1 / count, taken.noisy)
 
     def replaced(image: Any, own: np.ndarray | None, divisor: np.ndarray) -> Any:
         if own is None:
@@ -233,12 +232,14 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
         return placed(changed)
 
     return Estimate(
-        replaced(base.mean, seen.radiance, count),
+        replaced(base.mean, mean.radiance, count),
         replaced(base.variance, apart.radiance, count**2.0),
-        replaced(base.empty, seen.empty, count),
-        replaced(base.orders, seen.orders, count),
-        replaced(base.parts, seen.parts, count),
+        replaced(base.within, square.radiance, by_strata),
+        replaced(base.empty, mean.empty, count),
+        replaced(base.orders, mean.orders, count),
+        replaced(base.parts, mean.parts, count),
         replaced(base.parts_variance, apart.parts, count**2.0),
+        replaced(base.parts_within, square.parts, by_strata),
     )
 
 

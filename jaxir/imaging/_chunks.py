@@ -16,6 +16,7 @@ from jaxir._math import at_once, in_kernels, on_cpu
 from jaxir._programs import program
 from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays, turns
 from jaxir.geometry.search import may_see
+from jaxir.imaging._estimate import Estimate, Seen, Varied, of_strata
 from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
@@ -43,22 +44,6 @@ QUICK = 2**20  # work of an image that one program takes whole: a call for each 
 FEWER = 4  # times fewer tiles at once where paths may be long
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
 TOGETHER = (1, 2, 4, 6, 8)  # strata whose rays may be traced side by side: bundles then cover fewer pixels and faces
-
-
-class Estimate(NamedTuple):
-    """Mean radiance in the pixels of tiles and its variance [tile, pixel, band].
-
-    `empty` is what would be seen without the scene; one value [1, 1, band] where the background is uniform. `orders`
-    is what the last two orders of scattering brought [tile, pixel, 2, band]; None without particles. `parts` is the
-    mean by component [tile, pixel, component, band], `parts_variance` its variance; None where they were not asked for.
-    """
-
-    mean: Array
-    variance: Array
-    empty: Array
-    orders: Array | None
-    parts: Array | None
-    parts_variance: Array | None
 
 
 class Division(NamedTuple):
@@ -164,6 +149,11 @@ class Pass(NamedTuple):
         return self.lit.scene.background is None or self.lit.scene.background.uniform
 
     @property
+    def noisy(self) -> bool:
+        """Whether anything is sampled along rays."""
+        return self.method.needs_key(self.lit.scene)
+
+    @property
     def quick(self) -> bool:
         """Whether to call a program for each chunk would take a share of the image's time that matters."""
         return self.work(self.samples) <= QUICK
@@ -242,9 +232,9 @@ def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
             return None
         return _untile(camera, value.reshape((*value.shape[:3], -1))).reshape((*camera.shape, *value.shape[3:]))
 
+    found = {name: value for name, value in parts._asdict().items() if name != "empty"}
     empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else whole(parts.empty)
-    others = (whole(value) for value in (parts.orders, parts.parts, parts.parts_variance))
-    return Estimate(whole(parts.mean), whole(parts.variance), empty, *others)
+    return Estimate(empty=empty, **{name: whole(value) for name, value in found.items()})
 
 
 @program
@@ -252,9 +242,10 @@ def image_of_pixels(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""]
     """The image of estimates [row, column, ...] from `samples` rays per pixel."""
     camera, nodes = taken.camera, taken.lit.nodes
     names = () if taken.components is None else taken.components.names
-    own = pixels.mean, pixels.variance, pixels.empty, samples, pixels.orders
+    variance, parts_variance = pixels.surer()
+    own = pixels.mean, variance, pixels.empty, samples, pixels.orders
     about = lattice_error(taken.lit, camera), nodes.error, share_outside(taken.lit, camera)
-    return image_of(camera, nodes.names, *own, *about, names, pixels.parts, pixels.parts_variance)
+    return image_of(camera, nodes.names, *own, *about, names, pixels.parts, parts_variance)
 
 
 def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
@@ -276,16 +267,17 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     some = may_see(lit.scene.outline(), camera, tile) if uniform else jnp.ones(tile.shape, bool)
     order = jnp.argsort(~some, stable=True)  # tiles that see something go together
 
-    def block(own: tuple[Array, Array, Array]) -> tuple[Seen, Varied]:
+    def block(own: tuple[Array, Array, Array]) -> tuple[Seen, Varied, Varied]:
         tile, number, some = own
 
-        def nothing() -> tuple[Seen, Varied]:
+        def nothing() -> tuple[Seen, Varied, Varied]:
             dark = _dark(taken, empty)
             assert empty is not None
             parts = dark.parts
             if parts is not None and taken.components is not None:
                 parts = parts + lit.nodes.in_band(empty_components(lit, taken.components, camera.frame[0]))[None, None]
-            return dark._replace(radiance=dark.radiance + empty, parts=parts), Varied(dark.radiance, dark.parts)
+            none = Varied(dark.radiance, dark.parts)
+            return dark._replace(radiance=dark.radiance + empty, parts=parts), none, none
 
         if not uniform:
             return _estimate(taken, tile, key, number, start, empty)
@@ -295,9 +287,10 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     key = jax.random.fold_in(jax.random.fold_in(taken.key, taken.number), chunk)
     every = lax.map(block, (tile[order].reshape(blocks), number, jnp.any(some[order].reshape(blocks), axis=1)))
     back = jnp.argsort(order)
-    mean, variance = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:]))[back], every)
+    mean, variance, within = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:]))[back], every)
     seen = mean.empty if empty is None else empty
-    return Estimate(mean.radiance, variance.radiance, seen, mean.orders, mean.parts, variance.parts)
+    own = mean.radiance, variance.radiance, within.radiance, seen, mean.orders
+    return Estimate(*own, mean.parts, variance.parts, within.parts)
 
 
 def _dark(taken: Pass, empty: Array | None) -> Seen:
@@ -317,15 +310,15 @@ def _estimate(
     number: Int[Array, ""],
     start: Float[Array, ""],
     empty: Array | None,
-) -> tuple[Seen, Varied]:
-    """What the pixels of some tiles see, and the variance of their radiance; `empty` where it is the same for all.
+) -> tuple[Seen, Varied, Varied]:
+    """What the pixels of some tiles see, and variances, see `Estimate`; `empty` where it is the same for all.
 
     `number` of the tiles tells their random numbers from those of others with the same key.
     """
     camera, count, size, some = taken.camera, taken.strata.count, tile.shape[0], taken.strata_at_once
     turn = turns(jax.random.fold_in(key, -1 - number), size)
 
-    def group(step: Array, carry: tuple[Seen, Varied]) -> tuple[Seen, Varied]:
+    def group(step: Array, carry: tuple[Seen, Varied, Varied]) -> tuple[Seen, Varied, Varied]:
         first = step.astype(jnp.int32) * some
         for_pixels, for_paths = jax.random.split(jax.random.fold_in(key, number * count + first))
         index = first + jnp.arange(some, dtype=jnp.int32)
@@ -342,30 +335,21 @@ def _estimate(
 
         mean = jax.tree.map(lambda value: added((value[:, :, :, 0] + value[:, :, :, 1]) / 2), seen)
         two = Varied(seen.radiance, seen.parts)
-        apart = jax.tree.map(lambda value: added((value[:, :, :, 0] - value[:, :, :, 1]) / 2), two)
-        return jax.tree.map(jnp.add, carry, (mean, apart))
+        half = jax.tree.map(lambda value: (value[:, :, :, 0] - value[:, :, :, 1]) / 2, two)
+        apart, square = jax.tree.map(added, half), jax.tree.map(lambda value: added(value**2), half)
+        return jax.tree.map(jnp.add, carry, (mean, apart, square))
 
     dark = _dark(taken, empty)
-    none = dark, Varied(dark.radiance, dark.parts)
-    total, apart = lax.fori_loop(0, -(-count // some), group, none)  # which can be turned round if the end is static
+    none = Varied(dark.radiance, dark.parts)
+    loop = 0, -(-count // some), group, (dark, none, none)  # which can be turned round if the end is static
+    total, apart, square = lax.fori_loop(*loop)
     share = 1 / as_float(count)
-    return jax.tree.map(lambda sum: sum * share, total), jax.tree.map(lambda sum: (sum * share) ** 2, apart)
-
-
-class Seen(NamedTuple):
-    """What rays see [ray, band] or pixels [tile, pixel, band]: all, without the scene, two orders, components."""
-
-    radiance: Array
-    empty: Array | None
-    orders: Array | None
-    parts: Array | None
-
-
-class Varied(NamedTuple):
-    """Variance of radiance, and of that by component, where it was asked for; shapes as `Seen`."""
-
-    radiance: Array
-    parts: Array | None
+    own = share**2 * of_strata(share, taken.noisy)
+    return (
+        jax.tree.map(lambda sum: sum * share, total),
+        jax.tree.map(lambda sum: (sum * share) ** 2, apart),
+        jax.tree.map(lambda sum: sum * own, square),
+    )
 
 
 def see(taken: Pass, bundle: Bundle, key: Key[Array, ""]) -> Seen:

@@ -14,7 +14,8 @@ from jaxtyping import Array, Int
 from jaxir._arrays import as_float, placed
 from jaxir._concurrent import cores, each_of
 from jaxir._programs import of_items
-from jaxir.imaging._chunks import Estimate, Pass, as_number, estimate_chunk
+from jaxir.imaging._chunks import Pass, as_number, estimate_chunk
+from jaxir.imaging._estimate import Estimate, by_strata
 from jaxir.imaging._image import share_left_out
 
 CHUNKS = 8  # of a pilot; all of a small image
@@ -61,7 +62,10 @@ def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
         sums += [_contribution(taken, int(index), one) for index, one in zip(some, estimates, strict=True)]
         if sum(times) > SECONDS:
             break
-    intensity, variance, orders = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
+    every = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
+    intensity, variance, within, alike, among, orders = every
+    share = by_strata(alike, among)
+    variance = (1 - share) * variance + share * within
     sampled = taken.method.samples_particles(taken.lit.scene)
     left = np.asarray(share_left_out(as_float(orders) if sampled else None, unresolved, as_float(intensity)))
     return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled, left)
@@ -75,14 +79,20 @@ def _timed(of: Callable[[Array], Estimate], chunks: Int[np.ndarray, " chunk"]) -
     return estimates, time.perf_counter() - began
 
 
-def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Intensity of the pixels of one chunk and its variance [band], and its last two orders of scattering [2, band]."""
+def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarray, ...]:
+    """Sums over the pixels of one chunk.
+
+    Intensity, its variance, that within strata, what tells of their share, see `by_strata`, [band] each; and the last
+    two orders of scattering [2, band].
+    """
     index = np.asarray(taken.camera.pixel_index(taken.tile(chunk)))
     area = np.append(np.asarray(taken.camera.pixel_area(), np.float64).ravel(), 0.0)[index][:, :, None]
-    mean, variance, empty = (np.asarray(leaf, np.float64) for leaf in estimate[:3])
+    found = estimate.mean, estimate.variance, estimate.within, estimate.empty
+    mean, variance, within, empty = (np.asarray(leaf, np.float64) for leaf in found)
+    there = np.where(area > 0, within, 0)
     orders = np.zeros((1, 1, 2, mean.shape[-1])) if estimate.orders is None else np.asarray(estimate.orders, np.float64)
-    each = (mean - empty) * area, variance * area**2, orders * area[..., None]
-    return tuple(part.sum((0, 1)) for part in each)  # type: ignore[return-value]
+    own = (mean - empty) * area, variance * area**2, within * area**2, there, there**2, orders * area[..., None]
+    return tuple(part.sum((0, 1)) for part in own)
 
 
 class ErrorLaw(NamedTuple):

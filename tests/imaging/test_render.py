@@ -208,6 +208,24 @@ def test_the_standard_error_is_the_scatter_over_keys():
     assert 0.6 < scatter / claimed < 1.55  # chi-squared of 63 degrees of freedom: .1 % to 99.9 %
 
 
+@pytest.mark.parametrize("width", [0.5, 0.9])
+def test_the_error_of_a_target_in_one_pixel_is_surely_told(width):
+    """One difference of its two sets of points is near 0 by chance: a quarter of the keys erred thrice as much."""
+    corner = width / 2 * np.array([[0.0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]])
+    scene = jaxir.Scene(jaxir.Skin(jaxir.Mesh(corner, [[0, 1, 2], [0, 2, 3]]), 500.0, jaxir.Lambert(0.9)))
+    camera = jaxir.orthographic_camera(13, 7, 1.0, (5, 5))
+    keys = jax.random.split(jax.random.key(1), 100)
+    images = [jaxir.render(scene, camera, [jaxir.MWIR], samples=72, key=key) for key in keys]
+    found, told = (np.array([float(x[0]) for x in xs]) for xs in zip(*map(with_error, images), strict=True))
+    off = np.abs(found - found.mean())
+    assert np.mean(off > 3 * told) < 0.03
+    assert 0.8 < np.sqrt(np.mean(told**2)) / found.std() < 1.7
+
+
+def with_error(image):
+    return image.radiant_intensity(), image.intensity_error()
+
+
 def test_the_error_of_what_is_faint_is_not_lost():
     """Squares of 1e-25 are none in single precision."""
     image = jaxir.render(jaxir.Scene(plate()), jaxir.orthographic_camera(20.0, 0.0, 0.09, (16, 16)), jaxir.MWIR)

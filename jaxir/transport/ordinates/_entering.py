@@ -77,15 +77,16 @@ def entering(
     keys = jax.random.split(jax.random.key(0), len(begin))
     drawn = jax.vmap(lambda key, at: _drawn(lamp, key, at), out_axes=1)(keys, begin)
 
-    def add(total: Array, drawn: Drawn) -> tuple[Array, None]:
-        paths = trace(scene, Rays(begin, drawn.omega), method, jax.random.key(0))
+    def add(total: Array, own: tuple[Drawn, Array]) -> tuple[Array, None]:
+        drawn, key = own
+        paths = trace(scene, Rays(begin, drawn.omega), method, key)
         weight = _weight(lamp, drawn, begin, Met(paths.face, paths.length))
         over = behind(lit, paths) - level.toward(lit, drawn.omega)
         passed = lit.transmittance(point, drawn.omega, jnp.where(weight > 0, paths.length, 0))
         came = over * passed * weight[:, None]
         return total + harmonics(-drawn.omega, order)[:, :, None] * came[:, None], None
 
-    return lax.scan(jax.checkpoint(add), none, drawn)[0]
+    return lax.scan(jax.checkpoint(add), none, (drawn, jax.random.split(jax.random.key(1), 2 * SAMPLES)))[0]
 
 
 def _drawn(lamp: SampledLight, key: Array, point: Float[Array, " 3"]) -> Drawn:
