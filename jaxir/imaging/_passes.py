@@ -55,7 +55,7 @@ def render(
 
     without bias: of one pixel as uncertain as one difference is, of a sum over pixels the surer the more they are.
     Where only n pixels vary, 36 / (36 + n^2) of se^2 is by the differences in strata, which tell more surely, and for a
-    target in one pixel up to half too much.
+    target in one pixel up to 1.9 times too much.
     Everything along a ray is exact, so a pixel that sees a uniform field has a standard error of 0. The variance of a
     smooth field falls as samples^-2 or faster, across a silhouette as samples^-3/2. Light from area sources and
     bounces is sampled anew, independently, at every point, so the standard error counts it.

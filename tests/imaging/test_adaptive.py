@@ -80,7 +80,7 @@ def test_edges_that_lie_along_pixels_are_not_missed():
 def test_rays_lie_where_the_error_is():
     adaptive, even = rendered(1, pixel_rtol=1e-2), rendered(1, samples=72, rtol=0.1)
     error = [np.sqrt((np.asarray(i.standard_error) ** 2).sum()) for i in (adaptive, even)]
-    assert error[0] < 0.7 * error[1] and int(adaptive.samples) <= 72 / 4
+    assert error[0] < 0.5 * error[1] and int(adaptive.samples) <= 72 / 3.5
 
 
 def test_a_scene_without_variance_takes_no_more_than_the_pilot():
