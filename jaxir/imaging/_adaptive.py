@@ -127,8 +127,7 @@ def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> L
     image = reduce(joined, passes)
     met = excess(goal.shares(image)) <= FIRST
     varied, mean = _of_a_pass(passes), np.asarray(image.radiance, np.float64)
-    noisy = first.method.needs_key(first.lit.scene)
-    law = law_of(mean, varied, goal.weight(image), few, PILOT, noisy)
+    law = law_of(mean, varied, goal.weight(image), few, PILOT, first.noisy)
     shown = max(1, int((mean != np.asarray(image.empty, np.float64)).any(axis=-1).sum()))
     spent = min(times)  # the first compiles
     return Look(image, met, law, PILOT * spent, PILOT * few * shown, spent / (few * shown))
@@ -222,7 +221,7 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
             jax.tree.map(partial(_add_by_pixel, pixel, place), sums, seen)
             done(1)
     mean, apart, square = sums
-    apart, by_strata = jax.tree.map(np.square, apart), count**2.0 / of_strata(1 / count, taken.noisy)
+    apart, divisor = jax.tree.map(np.square, apart), count**2.0 / of_strata(1 / count, taken.noisy)
 
     def replaced(image: Any, own: np.ndarray | None, divisor: np.ndarray) -> Any:
         if own is None:
@@ -234,12 +233,12 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
     return Estimate(
         replaced(base.mean, mean.radiance, count),
         replaced(base.variance, apart.radiance, count**2.0),
-        replaced(base.within, square.radiance, by_strata),
+        replaced(base.within, square.radiance, divisor),
         replaced(base.empty, mean.empty, count),
         replaced(base.orders, mean.orders, count),
         replaced(base.parts, mean.parts, count),
         replaced(base.parts_variance, apart.parts, count**2.0),
-        replaced(base.parts_within, square.parts, by_strata),
+        replaced(base.parts_within, square.parts, divisor),
     )
 
 

@@ -232,9 +232,9 @@ def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
             return None
         return _untile(camera, value.reshape((*value.shape[:3], -1))).reshape((*camera.shape, *value.shape[3:]))
 
-    found = {name: value for name, value in parts._asdict().items() if name != "empty"}
+    others = {name: whole(value) for name, value in parts._asdict().items() if name != "empty"}
     empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else whole(parts.empty)
-    return Estimate(empty=empty, **{name: whole(value) for name, value in found.items()})
+    return Estimate(empty=empty, **others)
 
 
 @program

@@ -11,8 +11,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxir._math import safe_sqrt
-from jaxir.geometry import Rays, Sobol, harmonics, no_hit
+from jaxir._arrays import as_float
+from jaxir.geometry import Rays, Sobol, harmonics, no_hit, turned
 from jaxir.geometry.search import closest_hit
 from jaxir.scene import Lit, Scene
 from jaxir.transport._direct import mis_weight
@@ -93,9 +93,7 @@ def _drawn(lamp: SampledLight, key: Array, point: Float[Array, " 3"]) -> Drawn:
     """Directions from a point, where any face may be met, face -1, and towards faces that were drawn [sample]."""
     for_all, for_face, for_place = jax.random.split(key, 3)
     u = Sobol().draw(for_all, SAMPLES)
-    cosine, azimuth = 1 - 2 * u[:, 0], 2 * np.pi * u[:, 1]
-    sine = safe_sqrt(1 - cosine**2)
-    omega = jnp.stack([sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), cosine], axis=1)
+    omega = jax.vmap(turned, (0, 0, None))(1 - 2 * u[:, 0], u[:, 1], as_float(np.array([0.0, 0.0, 1.0])))
     far, everywhere = (jnp.full(SAMPLES, value, omega.dtype) for value in (jnp.inf, EVERYWHERE))
     some = Drawn(omega, far, everywhere, jnp.full(SAMPLES, -1, jnp.int32))
     others = lamp.sample(lambda k: Sobol().draw((for_face, for_place)[k], SAMPLES), point, point)
