@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import Check, as_float, on_host
 from jaxir._math import dot, matmul
@@ -30,7 +30,7 @@ from jaxir.medium import (
 from jaxir.scene import Lit
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._lattice import about
-from jaxir.transport.ordinates._part import Aimed, Part, Told
+from jaxir.transport.ordinates._part import Aimed, Near, Part, Told
 
 SOLVED = 2e-5  # residual of a solution at most
 THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
@@ -52,6 +52,8 @@ class Scattered(AbstractMedium):
         step: largest optical depth of scattering between neighbours of the lattice on that of its axes on which it is
             least: light leaves a long plume across, and along it little changes from one depth to the next.
         backward: largest Legendre moment beyond the harmonics that is none of a forward lobe.
+        deep: whether depths towards sources without extent, read between the lattice's points, err by more than
+            `MISREAD` of what is scattered of their light. Light is looked for through the medium then.
     """
 
     medium: AbstractMedium
@@ -60,6 +62,7 @@ class Scattered(AbstractMedium):
     residual: Float[Array, ""]
     step: Float[Array, ""]
     backward: Float[Array, ""]
+    deep: Bool[Array, ""]
 
     def radiance(
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
@@ -99,11 +102,16 @@ class Scattered(AbstractMedium):
             return extinction, source
 
         def of_part(part: Part, meet: Array | bool, point: Array, direction: Array) -> Array:
+            near = self._near(part, point)
             if isinstance(meet, bool):
-                return part.sent(point) if meet else part.source(point, direction)
-            return lax.cond(meet, lambda: part.sent(point), lambda: part.source(point, direction))
+                return part.sent(near) if meet else part.source(near, point, direction)
+            return lax.cond(meet, lambda: part.sent(near), lambda: part.source(near, point, direction))
 
         return radiance_between(cuts, rays, behind, coefficients)
+
+    def _near(self, part: Part, point: Float[Array, "ray 3"]) -> Near:
+        """What is needed of a part at points; where what the lattice errs is sampled, that of beams too."""
+        return part.near(point) if part.doubt is None else part.near(point, self.medium, self.deep)
 
     @property
     def nodes(self) -> int:
@@ -125,7 +133,7 @@ class Scattered(AbstractMedium):
             extinction, emission = self.medium.coefficients(point)
             found = Told(emission, emission, jnp.zeros_like(emission), jnp.zeros_like(emission))
             for part in ready.parts:
-                found = Told(*map(jnp.add, found, part.told(point)))
+                found = Told(*map(jnp.add, found, part.told(self._near(part, point))))
             return extinction, list(found)
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
@@ -159,7 +167,7 @@ class Scattered(AbstractMedium):
         """The part of J of rays `along` that comes straight from sources without extent [ray, node]."""
         total = jnp.zeros((point.shape[0], self.nodes), point.dtype)
         for part in self.parts:
-            total = total + part.of_beams(point, along)
+            total = total + part.of_beams(part.near(point), point, along)
         return total
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:

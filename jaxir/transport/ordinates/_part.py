@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float
 from jaxir._arrays import as_float
 from jaxir._math import dot
 from jaxir.geometry import Eye, Rays, harmonics
-from jaxir.medium import AbstractScatterer, for_active
+from jaxir.medium import AbstractMedium, AbstractScatterer, for_active
 from jaxir.scene.light import AbstractDeltaSource
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._halo import Halo
@@ -44,8 +44,9 @@ class Beam(eqx.Module):
         source: the source.
         depth: optical depth towards it [point, node].
         forward: depth of what is scattered forward, which is not in `depth` [point, node].
-        aside: what passes more by the depth at the points alone, where `depth` is the mean about them [point, node].
+        aside: what passes more in the mean about the points than `depth` says where it is read there [point, node].
         seen: whether nothing hides it.
+        misread: share of what is scattered of its light by which that errs.
     """
 
     source: AbstractDeltaSource
@@ -53,18 +54,43 @@ class Beam(eqx.Module):
     forward: Float[Array, "point node"]
     aside: Float[Array, "point node"]
     seen: Float[Array, "point 1"]
+    misread: Float[Array, ""]
 
     def toward(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray 3"]:
         """Directions to the source."""
         return jax.vmap(self.source.toward)(point)[0]
 
-    def passing(self, between: Between, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
-        """Irradiance [ray, node] [W m-2] where nothing but the medium is in its way."""
-        return jax.vmap(self.source.beam)(point) * jnp.exp(-between.read(self.depth))
+    def read(self, between: Between, point: Float[Array, "ray 3"]) -> Lighting:
+        """Its light where nothing but the medium is in its way, by the depths at the points that are read."""
+        beam = jax.vmap(self.source.beam)(point)
+        return Lighting(beam * jnp.exp(-between.read(self.depth)), beam * between.read(self.aside))
 
-    def doubtful(self, between: Between, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
-        """How much that may err as it is read between points [ray, node] [W m-2]: half of what `aside` makes."""
-        return jax.vmap(self.source.beam)(point) * between.read(self.aside) / 2
+    def found(self, medium: AbstractMedium, point: Float[Array, "ray 3"]) -> Lighting:
+        """The same through the medium itself."""
+        omega, distance = jax.vmap(self.source.toward)(point)
+        light = jax.vmap(self.source.beam)(point) * medium.transmittance(Rays(point, omega), distance)
+        return Lighting(light, jnp.zeros_like(light))
+
+
+class Lighting(NamedTuple):
+    """Irradiance, and how much it may err, with its sign [ray, node] [W m-2]."""
+
+    irradiance: Float[Array, "ray node"]
+    doubtful: Float[Array, "ray node"]
+
+
+class Near(NamedTuple):
+    """What is needed of a part at points.
+
+    Attributes:
+        between: how the lattice is read there.
+        scattering: coefficients [m-1].
+        lit: by every beam, where nothing but the medium is in its way.
+    """
+
+    between: Between
+    scattering: Float[Array, "ray node"]
+    lit: tuple[Lighting, ...]
 
 
 class Doubt(NamedTuple):
@@ -146,27 +172,45 @@ class Part(eqx.Module):
     counts: tuple[int, int, int] = eqx.field(static=True)
     aimed: Aimed | None = None
 
+    def near(
+        self, point: Float[Array, "ray 3"], medium: AbstractMedium | None = None, deep: Bool[Array, ""] | None = None
+    ) -> Near:
+        """What is needed at points; of beams, where `deep`, through the `medium` in place of depths at other points."""
+        between = about(self.counts, self.medium.to_cube(point))
+        scattering = self.medium.scattering_at(point)
+
+        def read() -> tuple[Lighting, ...]:
+            return tuple(beam.read(between, point) for beam in self.beams)
+
+        def found() -> tuple[Lighting, ...]:
+            assert medium is not None
+            return tuple(beam.found(medium, point) for beam in self.beams)
+
+        if not self.beams or deep is None:
+            return Near(between, scattering, read())
+        return Near(between, scattering, _where_some(scattering, lambda: lax.cond(deep, found, read)))
+
     # Into any direction -----------------------------------------------------------------------------------------------
 
-    def source(self, point: Float[Array, "ray 3"], direction: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+    def source(
+        self, near: Near, point: Float[Array, "ray 3"], direction: Float[Array, "ray 3"]
+    ) -> Float[Array, "ray node"]:
         """J of rays in `direction` at points [ray, node] [W m-3 sr-1]."""
-        between, scattering = self._about(point)
-        near = jnp.where(jnp.any(scattering > 0, axis=1)[:, None, None], between.share, 0)
-        toward = harmonics(-direction, self._order)
-        found = collected(between.point[:, None], near[:, None], scattering[:, None], toward, self.moments)
-        return found + self._of_beams(point, direction, between, scattering)
+        scatters = jnp.any(near.scattering > 0, axis=1)[:, None, None]
+        share, toward = jnp.where(scatters, near.between.share, 0), harmonics(-direction, self._order)
+        found = collected(near.between.point[:, None], share[:, None], near.scattering[:, None], toward, self.moments)
+        return found + self.of_beams(near, point, direction)
 
-    def of_beams(self, point: Float[Array, "ray 3"], direction: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+    def of_beams(
+        self, near: Near, point: Float[Array, "ray 3"], direction: Float[Array, "ray 3"]
+    ) -> Float[Array, "ray node"]:
         """What of J comes straight from sources without extent [ray, node]."""
-        return self._of_beams(point, direction, *self._about(point))
-
-    def _of_beams(self, point: Array, direction: Array, between: Between, scattering: Array) -> Array:
-        total = jnp.zeros_like(scattering)
-        for beam in self.beams:
+        total = jnp.zeros_like(near.scattering)
+        for beam, lit in zip(self.beams, near.lit, strict=True):
             cosine = dot(beam.toward(point), direction)
-            lobe = sum(self._turned(cosine, between.read(beam.forward)))
-            irradiance = beam.passing(between, point) * between.read(beam.seen)
-            total = total + scattering / self.kept[None] * irradiance * lobe
+            lobe = sum(self._turned(cosine, near.between.read(beam.forward)))
+            irradiance = lit.irradiance * near.between.read(beam.seen)
+            total = total + near.scattering / self.kept[None] * irradiance * lobe
         return total
 
     # To an eye --------------------------------------------------------------------------------------------------------
@@ -205,36 +249,37 @@ class Part(eqx.Module):
             tuple(change for _, change in lit),
         )
 
-    def sent(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray node"]:
+    def sent(self, near: Near) -> Float[Array, "ray node"]:
         """`source` at points of rays that meet in the eye at which it is aimed."""
         assert self.aimed is not None
-        aimed, (between, scattering) = self.aimed, self._about(point)
+        aimed, between = self.aimed, near.between
 
         def sent() -> Array:
             total = between.read(aimed.light)
-            for beam, lobe in zip(self.beams, aimed.lobes, strict=True):
-                total = total + beam.passing(between, point) * between.read(lobe) / self.kept[None]
-            return scattering * total
+            for lit, lobe in zip(near.lit, aimed.lobes, strict=True):
+                total = total + lit.irradiance * between.read(lobe) / self.kept[None]
+            return near.scattering * total
 
-        return _where_some(scattering, sent)
+        return _where_some(near.scattering, sent)
 
-    def told(self, point: Float[Array, "ray 3"]) -> Told:
+    def told(self, near: Near) -> Told:
         """`sent` with what it may err, where that is not sampled."""
         assert self.aimed is not None
-        aimed, (between, scattering) = self.aimed, self._about(point)
+        aimed, between = self.aimed, near.between
 
         def told() -> Told:
             assert aimed.rough is not None and aimed.reading is not None
-            straight, doubt = jnp.zeros_like(scattering), jnp.zeros_like(scattering)
-            for beam, lobe, halo in zip(self.beams, aimed.lobes, aimed.halos, strict=True):
-                irradiance, lobe, change = beam.passing(between, point), between.read(lobe), between.read(halo)
-                straight = straight + irradiance * lobe / self.kept[None]
-                less = SPREAD * irradiance * change + beam.doubtful(between, point) * (lobe - change)
+            straight, doubt = jnp.zeros_like(near.scattering), jnp.zeros_like(near.scattering)
+            for lit, lobe, halo in zip(near.lit, aimed.lobes, aimed.halos, strict=True):
+                lobe, change = between.read(lobe), between.read(halo)
+                straight = straight + lit.irradiance * lobe / self.kept[None]
+                less = SPREAD * lit.irradiance * change + lit.doubtful * (lobe - change)
                 doubt = doubt + less / self.kept[None]
             whole, rough, reading = (between.read(x) for x in (aimed.light, aimed.rough, aimed.reading))
-            return Told(*(scattering * each for each in (whole + straight, rough + straight, jnp.abs(reading), doubt)))
+            each = (whole + straight, rough + straight, jnp.abs(reading), doubt)
+            return Told(*(near.scattering * one for one in each))
 
-        return _where_some(scattering, told)
+        return _where_some(near.scattering, told)
 
     # What both need ---------------------------------------------------------------------------------------------------
 
@@ -252,10 +297,6 @@ class Part(eqx.Module):
     def _order(self) -> int:
         """Highest degree of the harmonics."""
         return math.isqrt(self.moments.shape[1]) - 1
-
-    def _about(self, point: Float[Array, "ray 3"]) -> tuple[Between, Float[Array, "ray node"]]:
-        """How the lattice is read at points, and scattering coefficients there [ray, node]."""
-        return about(self.counts, self.medium.to_cube(point)), self.medium.scattering_at(point)
 
     def _turned(self, cosine: Float[Array, " ray"], forward: Float[Array, "ray node"]) -> tuple[Array, Array]:
         """The lobe at cosines, and what halos change of it at depths of forward scattering [ray, node] [sr-1]."""

@@ -17,7 +17,8 @@ Of a forward lobe the share f = chi_(order + 1) is taken as not scattered (Wisco
 Sci. 34, 1977), and light of sources without extent is scattered once with the whole phase function (Nakajima and
 Tanaka, JQSRT 40, 1988), as spread as it is by what was scattered forward before, see `_halo`. Between the lattice's
 points L_lm is interpolated by cubics, and B, with its shadows, and the optical depth towards sources linearly on a
-lattice `FINER` times as fine. Rays to the lattice's points read it twice in each of `PANELS`.
+lattice `FINER` times as fine; where a plume is too deep for that, light on its way to an eye is scattered once out of
+beams that are found through the medium. Rays to the lattice's points read it twice in each of `PANELS`.
 """
 
 from __future__ import annotations
@@ -253,24 +254,31 @@ def _beam(
     Depths are means of places about each point, by what is scattered there: across cells that lie along light they
     jump, and points may lie on the cells' sides.
     """
-    place, aside = places(lattice.read), beside(lattice.read)
-    many = part.from_cube(as_float(np.concatenate([place, *(place + aside * np.array(corner) for corner in CORNERS)])))
+    place, step = places(lattice.read), beside(lattice.read)
+    corner = as_float(np.concatenate([place + step * np.array(corner) for corner in CORNERS]))
+    many = part.from_cube(corner)
     omega, distance = jax.vmap(source.toward)(many)
-    each = [one.transmittance(Rays(many, omega), distance) for one in (medium, given)]
-    each = [-jnp.log(jnp.maximum(x, jnp.finfo(x.dtype).tiny)) for x in each]  # beyond it nothing is left
-    own, whole = (x.reshape(1 + len(CORNERS), len(place), -1) for x in each)
-    weight = lax.stop_gradient(part.scattering_at(many).max(axis=1)).reshape(*own.shape[:2], 1)[1:]
-    total = weight.sum(axis=0, keepdims=True)
-    weight = jnp.where(total > 0, weight, 1) / jnp.where(total > 0, total, len(CORNERS))
-    depth, whole = ((weight * x[1:]).sum(axis=0) for x in (own, whole))
-    point, omega, distance = (x[: len(place)] for x in (many, omega, distance))
+    passed, of_given = (one.transmittance(Rays(many, omega), distance) for one in (medium, given))
+    scattering = lax.stop_gradient(part.scattering_at(many).max(axis=1)).reshape(len(CORNERS), len(place), 1)
+    total = scattering.sum(axis=0, keepdims=True)
+    weight = jnp.where(total > 0, scattering, 1) / jnp.where(total > 0, total, len(CORNERS))
+
+    def mean(at_corners: Array) -> Array:
+        return (weight * at_corners.reshape(*weight.shape[:2], -1)).sum(axis=0)
+
+    tiny = jnp.finfo(passed.dtype).tiny  # beyond it nothing is left
+    depth, whole = (mean(-jnp.log(jnp.maximum(x, tiny))) for x in (passed, of_given))
+    aside = mean(passed - jnp.exp(-about(lattice.read, corner).read(depth)))
+    scattered = (total * jnp.stack([mean(passed), jnp.abs(aside)])).sum(axis=1)
+    misread = jnp.max(scattered[1] / jnp.where(scattered[0] > 0, scattered[0], 1))
+    point = part.from_cube(as_float(place))
+    omega, distance = jax.vmap(source.toward)(point)
     seen = jnp.ones((point.shape[0], 1), point.dtype)
     if lit.scene.skin is not None:
         hidden = any_hit(lit.scene.skin.mesh, lax.stop_gradient(Rays(point, omega)), t_max=lax.stop_gradient(distance))
         seen = jnp.where(hidden[:, None], 0, seen)
-    return Beam(
-        source, depth, jnp.maximum(whole - depth, 0), lax.stop_gradient(jnp.exp(-own[0]) - jnp.exp(-depth)), seen
-    )
+    forward, aside, misread = jnp.maximum(whole - depth, 0), *lax.stop_gradient((aside, misread))
+    return Beam(source, depth, forward, aside, seen, misread)
 
 
 def _of_beams(part: AbstractScatterer, lattice: Lattice, beams: tuple[Beam, ...], order: int) -> Array:

@@ -32,6 +32,7 @@ CLOSE = {"float32": 2e-6, "float64": 1e-8}
 MOST_STEPS = 200
 FEWER = 2  # degrees of the solution that shows what harmonics do
 FINE, JUMPS = 0.25, 2.0  # times the change by `Lattice.lines` that moments err where a medium is smooth, and else
+MISREAD = 0.01  # of what is scattered of a source's light may err by how depths are read
 CLOSE_OF_OTHERS = 1e-4  # residual at which those end that show what the lattice errs
 
 
@@ -136,7 +137,8 @@ def finished(given: Posed, ordinates: DiscreteOrdinates, solutions: Solution) ->
     )
     step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
     backward = jnp.max(jnp.stack([own.beyond for own in given.moments]))
-    told = lax.stop_gradient((jnp.max(solutions.residual[:, 0]), step, backward))
+    deep = jnp.any(jnp.stack([beam.misread > MISREAD for beams in given.beams for beam in beams] or [False]))
+    told = lax.stop_gradient((jnp.max(solutions.residual[:, 0]), step, backward, deep))
     return Scattered(given.given if errs else given.medium, held, order, *told)
 
 
