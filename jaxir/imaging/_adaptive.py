@@ -26,7 +26,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import placed
-from jaxir._concurrent import each_of
+from jaxir._concurrent import cores, each_of
 from jaxir._programs import of_items, program
 from jaxir.geometry import TILE, Camera, places_in
 from jaxir.imaging._chunks import (
@@ -41,11 +41,11 @@ from jaxir.imaging._chunks import (
 from jaxir.imaging._devices import over_items, progress
 from jaxir.imaging._estimate import Estimate, Seen, Varied, of_strata
 from jaxir.imaging._image import Image, joined
+from jaxir.imaging._pilot import well_shaped
 from jaxir.imaging._placement import Law, law_of
 from jaxir.imaging._tolerance import FIRST, Goal, excess
 
-PILOT = 4  # passes of the pilot, of two rays per pixel each
-LOOKED = 2 * PILOT  # its rays per pixel
+PILOT = 4  # passes of the pilot, of two rays per pixel each or more
 ROUNDS = 4  # at most; each decides for the next
 MANY = 4  # times the rays that the pilot took where it saw the scene, beyond which a scout goes first
 CLOSER = 0.88  # of the error asked for, once a scout or a round that missed it told more: pixels differ
@@ -68,6 +68,23 @@ class Strata:
     count: Int[np.ndarray, " pixel"]
     columns: Int[np.ndarray, " pixel"]
 
+    def chunks(self, taken: Pass) -> int:
+        """Chunks of a pass in which all of them are seen."""
+        return -(-int(self.count.sum()) // taken.spots)
+
+    def chunk(self, taken: Pass, number: int) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, "spot 4"]]:
+        """Pixels of a chunk [pixel], where each begins [pixel], and what `_seen_at` asks for; the last fills up."""
+        size, end = taken.spots, np.cumsum(self.count)
+        begin, last = number * size, min((number + 1) * size, int(end[-1]))
+        pixel = np.arange(*np.searchsorted(end, (begin, last - 1), side="right") + (0, 1))
+        first = (end - self.count)[pixel]
+        place = np.maximum(first - begin, 0)
+        name = self.row[pixel] * taken.camera.shape[1] + self.column[pixel]
+        each = np.stack([name, first, self.columns[pixel], self.count[pixel] // self.columns[pixel]], axis=1)
+        spots = np.repeat(each, np.diff(place, append=size), axis=0).astype(np.int32)
+        spots[:, 1] = np.minimum(np.arange(begin, begin + size), last - 1) - spots[:, 1]
+        return pixel, place, spots
+
 
 class Look(NamedTuple):
     """What a pilot saw.
@@ -89,8 +106,13 @@ class Look(NamedTuple):
     each: float
 
     @property
+    def rays(self) -> int:
+        """In every pixel."""
+        return int(self.image.samples)
+
+    @property
     def base(self) -> float:
-        """Seconds of two rays in every pixel."""
+        """Seconds of two rays in every pixel, at most."""
         return self.seconds / PILOT
 
     def ends(self, goal: Goal) -> bool:
@@ -101,6 +123,11 @@ class Look(NamedTuple):
         """See `Law.strata`; in so many seconds, to `scale` times the error asked for."""
         law = self.law._replace(constant=self.law.constant / scale**2)
         return law.strata(most, (seconds - self.base) / self.each)
+
+    def asks_scout(self, strata: Int[np.ndarray, "row column"], seconds: float) -> bool:
+        """Whether so many are worth it, and leave time for it."""
+        added = 2 * float((strata - 1).sum())
+        return added > MANY * self.taken and self.each * added < seconds / 2
 
 
 def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = None, alone: bool = False) -> Image:
@@ -117,9 +144,22 @@ def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = N
     return over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh, alone and taken.quick)
 
 
-def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> Look:
-    """What a pilot of an image sees, of `few` rays per pixel in each pass; other arguments of `adapted`."""
-    passes, times = [], []
+def looks(few: int) -> int:
+    """Rays per pixel of a pilot: eight, or about the `few` that show a target that is smaller than a pixel."""
+    return PILOT * well_shaped(few // PILOT)[-1]
+
+
+def looked(first: Pass, goal: Goal, few: int, noisy: bool, mesh: Mesh | None = None) -> Look:
+    """What a pilot of an image sees.
+
+    Args:
+        first: a pass of the image.
+        goal: what is asked.
+        few: `looks` of it are its rays per pixel.
+        noisy: whether what lights that are sampled vary is more than what edges do.
+        mesh: devices that share it, of `shared_by`.
+    """
+    few, passes, times = looks(few) // PILOT, [], []
     for number in range(PILOT):
         began = time.perf_counter()
         passes.append(even_image(first, number, few, mesh=mesh))
@@ -127,7 +167,7 @@ def looked(first: Pass, goal: Goal, mesh: Mesh | None = None, few: int = 2) -> L
     image = reduce(joined, passes)
     met = excess(goal.shares(image)) <= FIRST
     varied, mean = _of_a_pass(passes), np.asarray(image.radiance, np.float64)
-    law = law_of(mean, varied, goal.weight(image), few, PILOT, first.noisy)
+    law = law_of(mean, varied, goal.weight(image), few, PILOT, noisy)
     shown = max(1, int((mean != np.asarray(image.empty, np.float64)).any(axis=-1).sum()))
     spent = min(times)  # the first compiles
     return Look(image, met, law, PILOT * spent, PILOT * few * shown, spent / (few * shown))
@@ -144,13 +184,15 @@ def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tu
     """
     if look.ends(goal):
         return look.image, look.met
-    left = goal.seconds - look.seconds
+    left, before = goal.seconds - look.seconds, np.zeros(())
     for number in range(PILOT, PILOT + ROUNDS):
         began, count = time.perf_counter(), look.strata(goal.most, left, 1.0 if number == PILOT else CLOSER)
-        added = 2 * float((count - 1).sum())
-        if number == PILOT and added > MANY * look.taken and look.each * added < left / 2:
+        if np.array_equal(count, before):  # no more are allowed
+            break
+        if number == PILOT and look.asks_scout(count, left):
             count = look.strata(goal.most, left, SCOUT)
-            added = 2 * float((count - 1).sum())
+        before = count
+        added = 2 * float((count - 1).sum())
         image = _image_with_strata(first, number, strata_of(count, first.camera), mesh)
         shares = goal.shares(image)
         if excess(shares) <= 1:
@@ -160,8 +202,24 @@ def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tu
         if left < spent:  # no time for as many again
             break
         each = min(look.each, max(spent - look.base, spent / 10) / max(added, 1))  # timers are coarse
-        look = look._replace(law=look.law.corrected(shares.max(axis=-1), count, LOOKED), each=each)
+        look = look._replace(law=look.law.corrected(shares.max(axis=-1), count, look.rays, first.noisy), each=each)
     return image, False
+
+
+def seconds_of(first: Pass, goal: Goal, look: Look) -> float:
+    """Seconds of `adapted` if what the look tells is right: by some of its chunks, that are seen twice."""
+    taken, left = first.of(2), goal.seconds - look.seconds
+    count = look.strata(goal.most, left)
+    strata, own, spent = strata_of(count, first.camera), of_items(_seen_at, taken), 0.0
+    some = [strata.chunk(taken, number)[2] for number in range(min(cores(), strata.chunks(taken)))]
+    for _ in range(2):  # the first compiles
+        began = time.perf_counter()
+        list(each_of(lambda spots: jax.block_until_ready(own((placed(np.uint32(0)), placed(spots)))), some))
+        spent = (time.perf_counter() - began) / max(len(some), 1)
+    rounds = [count]
+    if look.asks_scout(count, left):
+        rounds.append(look.strata(goal.most, left, SCOUT))
+    return sum(look.base + spent * strata_of(each, first.camera).chunks(taken) for each in rounds)
 
 
 def _image_with_strata(first: Pass, number: int, strata: Strata, mesh: Mesh | None) -> Image:
@@ -192,28 +250,19 @@ def strata_of(count: Int[np.ndarray, "row column"], camera: Camera) -> Strata:
 
 def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
     """Estimates of all pixels [row, column], with strata of their own in some in the place of `base`."""
-    size, count = taken.spots, strata.count
-    end = np.cumsum(count)
+    count, chunks = strata.count, strata.chunks(taken)
     if count.size == 0:
         return base
     sums: Any = None
     own = of_items(_seen_at, taken)
-    rows = count // strata.columns
-    pixels = np.stack([strata.row * taken.camera.shape[1] + strata.column, end - count, strata.columns, rows], axis=1)
 
     def seen_at(number: int) -> tuple[np.ndarray, np.ndarray, tuple[Seen, Varied, Varied]]:
         """Pixels of a chunk of strata, of which the last fill up the last chunk, and where each begins in it."""
-        begin, last = number * size, min((number + 1) * size, int(end[-1]))
-        pixel = np.arange(*np.searchsorted(end, (begin, last - 1), side="right") + (0, 1))
-        place = np.maximum(pixels[pixel, 1] - begin, 0)
-        each = np.diff(place, append=size)
-        spots = np.repeat(pixels[pixel], each, axis=0).astype(np.int32)
-        spots[:, 1] = np.minimum(np.arange(begin, begin + size), last - 1) - spots[:, 1]
+        pixel, place, spots = strata.chunk(taken, number)
         seen = jax.device_get(own((placed(np.uint32(number)), placed(spots))))
-        mean, apart = jax.tree.map(lambda leaf: leaf[: last - begin], seen)
+        mean, apart = jax.tree.map(lambda leaf: leaf[: count.sum() - number * len(spots)], seen)
         return pixel, place, (mean, apart, jax.tree.map(lambda leaf: np.square(leaf, dtype=np.float64), apart))
 
-    chunks = -(-int(end[-1]) // size)
     with progress("render", chunks) as done:
         for pixel, place, seen in each_of(seen_at, range(chunks)):
             if sums is None:

@@ -13,7 +13,7 @@ from jaxtyping import Array
 from jaxir._arrays import require
 from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Sobol
-from jaxir.imaging._adaptive import LOOKED, Look, looked
+from jaxir.imaging._adaptive import Look, looked, looks
 from jaxir.imaging._chunks import Pass, scattered_for
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.imaging._tolerance import Goal
@@ -36,7 +36,7 @@ FEW_ORDERS = 2  # of scattering, tried first
 SOON = 2.0  # seconds of sampling for which no lattice is tried: it takes longer to solve
 LATTICES = (DiscreteOrdinates(), DiscreteOrdinates(41, 9))
 SAMPLED = 4  # orders of scattering in which what a lattice errs is sampled
-EVEN = 32  # rays in every pixel, with more of which it is looked where they are needed
+EVEN = 4  # times the rays of a pilot that all pixels take, beyond which it is looked where they are needed
 LITTLE = 2**22  # work of an image that is done before it is known where its rays are needed
 MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
 
@@ -96,14 +96,28 @@ def few_rays(wanted: float, most: int) -> int:
     return next((count for count in well_shaped(most) if count >= max(wanted, FEW)), well_shaped(most)[-1])
 
 
-def trials_of(first: Pass, goal: Goal, asked: bool) -> list[Trial]:
-    """Ways to find the light of a pass of few rays per pixel; one where the method is `asked` for."""
+def best_way(first: Pass, goal: Goal, asked: bool) -> tuple[list[Trial], Choice, Look | None]:
+    """What was tried of a pass of few rays per pixel, the best of it, and what tells where rays go, if not everywhere.
+
+    Only what is given is tried where the method is `asked` for. Of light that particles scatter, lattices are tried
+    where no number of orders is `SOON` done: what the finest errs is sampled where none leaves out as little as asked.
+    """
     scene = first.lit.scene
-    if asked:
-        return [_trial(first, goal)]
-    if scene.scatters and not scene.area_sources:
-        return _ways_to_scatter(first, goal)
-    return [_trial(first._replace(method=method), goal) for method in _candidates(scene, first.method)]
+    by_particles = scene.scatters and not scene.area_sources and not asked
+    if by_particles:
+        trials = _by_orders(first, goal)
+    else:
+        ways = [first.method] if asked else _candidates(scene, first.method)
+        trials = [_trial(first._replace(method=method), goal) for method in ways]
+    chosen = cheapest(trials, goal)
+    if not by_particles:
+        return trials, *where_it_varies(chosen, goal)
+    if trials[-1].left_out <= 1 and chosen.seconds / chosen.samples * looks(first.samples) < SOON:
+        placed, look = where_it_varies(chosen, goal)
+        if placed.excess <= 1 and placed.seconds < SOON:
+            return trials, placed, look
+    trials += _by_lattices(first, goal)
+    return trials, *where_it_varies(cheapest(trials, goal), goal)
 
 
 def _trial(first: Pass, goal: Goal, solving: float = 0.0) -> Trial:
@@ -116,20 +130,19 @@ def _trial(first: Pass, goal: Goal, solving: float = 0.0) -> Trial:
 _lattice_error = program(lattice_error)
 
 
-def _ways_to_scatter(first: Pass, goal: Goal) -> list[Trial]:
-    """By rising orders, and if that is not soon done by finer lattices, until one leaves out no more than is asked.
-
-    Where none does, what the finest errs is sampled.
-    """
+def _by_orders(first: Pass, goal: Goal) -> list[Trial]:
+    """By rising orders until one leaves out no more than is asked."""
     trials = []
     for orders in sorted({min(FEW_ORDERS, first.method.orders), first.method.orders}):
         trials.append(_trial(first._replace(method=dataclasses.replace(first.method, orders=orders)), goal))
         if trials[-1].left_out <= 1:
-            choice = _choice(trials[-1], trials[-1].law(), 1 / first.samples, goal)
-            if choice.excess <= 1 and choice.seconds < SOON:
-                return trials
             break
-    held = None
+    return trials
+
+
+def _by_lattices(first: Pass, goal: Goal) -> list[Trial]:
+    """By finer lattices until one leaves out no more than is asked; what the finest errs is sampled if none does."""
+    trials, held = [], None
     for ordinates in LATTICES:
         solved = _on_lattice(first, goal, ordinates)
         if solved is None:  # this lattice cannot hold the light, a finer one may
@@ -228,19 +241,19 @@ def cheapest(trials: list[Trial], goal: Goal) -> Choice:
 def where_it_varies(chosen: Choice, goal: Goal) -> tuple[Choice, Look | None]:
     """The choice with its rays where pixels vary, where that takes fewer of them, pilot included; what the pilot saw.
 
-    The pilot is `LOOKED` rays in every pixel: few, where `EVEN` do not suffice, unless the target is smaller than a
-    pixel. Of `LITTLE` work none is saved.
+    Pilots are few rays where `EVEN` times as many do not suffice. Of `LITTLE` work none is saved.
     """
     first = chosen.trial.first
-    if chosen.samples <= EVEN or first.work(chosen.samples) <= LITTLE or first.samples > LOOKED:
+    if chosen.samples <= EVEN * looks(first.samples) or first.work(chosen.samples) <= LITTLE:
         return chosen, None
-    look = looked(first, goal)
+    noise = np.any(chosen.law.noise / chosen.samples > chosen.law.variance(chosen.samples) / 2)
+    look = looked(first, goal, first.samples, first.noisy and bool(noise))
     count = look.strata(goal.most, goal.seconds - look.seconds)
-    samples = LOOKED + 2 * float(count.mean())
+    samples = look.rays + 2 * float(count.mean())
     excess = look.law.excess(count)
     if (max(excess, 1), samples) >= (max(chosen.excess, 1), chosen.samples):
         return chosen, None
-    seconds = look.seconds + chosen.seconds / chosen.samples * (samples - LOOKED)
+    seconds = look.seconds + chosen.seconds / chosen.samples * (samples - look.rays)
     expected = chosen.expected * excess / chosen.excess
     return chosen._replace(samples=round(samples), seconds=seconds, expected=expected, excess=excess), look
 

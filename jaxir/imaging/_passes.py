@@ -16,7 +16,7 @@ from jaxtyping import Array, Key
 from jaxir._arrays import is_traced, key_or_default
 from jaxir._programs import of_items
 from jaxir.geometry import Camera
-from jaxir.imaging._adaptive import PILOT, adapted, even_image, looked
+from jaxir.imaging._adaptive import adapted, even_image, looked
 from jaxir.imaging._choices import FEW, few_rays, rays_to_see
 from jaxir.imaging._chunks import PARTS, Pass, estimate_chunk, first_pass, scattered_for
 from jaxir.imaging._devices import shared_by
@@ -139,7 +139,7 @@ def render(
         image, met = repeated(first, goal, samples, planned, few, mesh)
     else:
         if look is None or (look.ends(goal) and first.components is not None):  # of the answer no parts were asked
-            look = looked(first, goal, mesh, well_shaped(few // PILOT)[-1])
+            look = looked(first, goal, few, first.noisy, mesh)
         image, met = adapted(first, goal, look, mesh)
     return ended(image, met and wanted <= max_samples)
 

@@ -50,18 +50,22 @@ class Law(NamedTuple):
         power = np.where(value > 0, slope, self.power)
         return Law(value * MIDDLE**power, power)
 
-    def corrected(self, found: Float[np.ndarray, "row column"], strata: Int[np.ndarray, "row column"], few: int) -> Law:
+    def corrected(
+        self, found: Float[np.ndarray, "row column"], strata: Int[np.ndarray, "row column"], few: int, noisy: bool
+    ) -> Law:
         """With the share of the variance allowed that an image of so many strata found, beside what `few` rays told.
 
-        Where it has far more rays than those few, what both found tells the power, too.
+        Where it has far more rays than those few, what both found tells the power, too, which is least where lights are
+        sampled.
         """
+        least = (NOISE if noisy else EDGES)[0]
         rays, differences = 2.0 * strata, few - 1  # differences that tell; of a stratum one does
         foretold, found = self.at(rays), around(found)
         share = strata / (differences + strata)
         ratio = np.divide(found, foretold, out=np.ones_like(found), where=foretold > 0)
         falls = share * np.log(np.maximum(ratio, LEAST)) / np.log(np.maximum(rays / few, 2))
         falls = np.where(rays > 2 * few, falls, 0)
-        power = np.clip(self.power - falls, np.minimum(self.power, EDGES[0]), max(SMOOTH[0], EDGES[0]))
+        power = np.clip(self.power - falls, np.minimum(self.power, least), SMOOTH[0])
         return Law(((1 - share) * foretold + share * found) * rays**power, power)
 
     def strata(self, most: int, rays: float = math.inf) -> Int[np.ndarray, "row column"]:

@@ -13,8 +13,8 @@ from jaxtyping import Array, Key
 from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default
 from jaxir._programs import program
 from jaxir.geometry import Camera
-from jaxir.imaging._adaptive import LOOKED, Look
-from jaxir.imaging._choices import FEW, Choice, Trial, cheapest, few_rays, rays_to_see, trials_of, where_it_varies
+from jaxir.imaging._adaptive import Look, seconds_of
+from jaxir.imaging._choices import FEW, Choice, Trial, best_way, few_rays, rays_to_see
 from jaxir.imaging._chunks import Pass, first_pass
 from jaxir.imaging._tolerance import Goal, Tolerance, goal_of
 from jaxir.optics.spectrum import Band, Nodes
@@ -125,20 +125,21 @@ def plan(
     return plan_pass(first.of(few), goal, method is not None, call)[0]
 
 
-def plan_pass(first: Pass, goal: Goal, asked: bool, call: float = 0.0) -> tuple[Plan, Look | None]:
+def plan_pass(first: Pass, goal: Goal, asked: bool, call: float | None = None) -> tuple[Plan, Look | None]:
     """`plan` for a pass of `few_rays` that was checked, and what tells where its rays go, if not everywhere.
 
     Args:
         first: the pass.
         goal: what is asked of the intensity.
         asked: whether the method is not to be chosen.
-        call: seconds that a call takes before its first ray.
+        call: seconds that a call takes before its first ray; None where nobody asks for seconds.
     """
     scene, tolerance = first.lit.scene, goal.tolerance
-    trials = trials_of(first, goal, asked)
-    chosen, look = where_it_varies(cheapest(trials, goal), goal)
-    chosen = chosen._replace(seconds=chosen.seconds + call)
+    trials, chosen, look = best_way(first, goal, asked)
     trial = chosen.trial
+    if call is not None:
+        rays = chosen.seconds if look is None else look.seconds + seconds_of(trial.first, goal, look)
+        chosen = chosen._replace(seconds=rays + call)
     terms = (
         *_along_the_ray(first.lit, first.camera),
         *_by_particles(scene, trials, chosen),
@@ -246,7 +247,7 @@ def _pixels(chosen: Choice, tolerance: Tolerance, look: Look | None) -> Term:
     short = chosen.excess > 1
     rays = f"{chosen.samples} rays each, two in each of {chosen.samples // 2} strata"
     if look is not None:
-        rays = f"{chosen.samples} rays each in the mean, {LOOKED} of them to find where the others are needed"
+        rays = f"{chosen.samples} rays each in the mean, {look.rays} of them to find where the others are needed"
     reached = f"which is all that is allowed and reaches {chosen.expected:.2g}" if short else "which reaches"
     goal = f"instead of {tolerance}" if short else f"{chosen.expected:.2g} of the {tolerance} asked"
     sentence = (

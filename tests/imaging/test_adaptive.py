@@ -47,7 +47,7 @@ def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch)
     monkeypatch.setattr(_choices, "LITTLE", 0)
     monkeypatch.setattr(_choices, "MORE", (12, 32))  # of a pilot that every image takes
     plan = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4)
-    assert even.samples > _choices.EVEN and plan.samples < even.samples / 3
+    assert even.samples > 8 * _choices.EVEN and plan.samples < even.samples / 3
     assert "rays each in the mean, 8 of them to find where the others are needed" in str(plan)
     images = [rendered(key, rtol=3e-4) for key in range(24)]
     assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
@@ -63,6 +63,18 @@ def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch)
     split = rendered(1, rtol=3e-4, components="sources")
     assert bool(split.outcome == jaxir.Outcome.tolerance_met)
     np.testing.assert_allclose(split.component_intensity().sum(axis=0), split.radiant_intensity(), rtol=1e-3)
+
+
+def test_an_intensity_of_a_distant_target_takes_rays_in_its_pixels(monkeypatch):
+    """Thirty in the mean, of which an even image takes 4000."""
+    monkeypatch.setattr(_choices, "LITTLE", 0)
+    monkeypatch.setattr(_choices, "MORE", (12, 32))
+    far = jaxir.orthographic_camera(30.0, 20.0, 0.6, CAMERA.shape)
+    images = [jaxir.render(SCENE, far, jaxir.MWIR, rtol=2e-3, key=jax.random.key(key)) for key in range(12)]
+    assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
+    assert np.mean([int(image.samples) for image in images]) < 50
+    intensity = np.array([image.radiant_intensity()[0] for image in images], float)
+    assert 0.6e-3 < intensity.std(ddof=1) / intensity.mean() < 2.6e-3  # 12 keys: standard deviation .2
 
 
 def test_edges_that_lie_along_pixels_are_not_missed():
