@@ -418,6 +418,21 @@ def arriving(scene):
     return part.medium.from_cube(as_float(places(part.counts))), part.field[:, 0, 0] / np.sqrt(4 * np.pi)
 
 
+def test_light_of_a_narrow_plume_comes_along_it_too():
+    """In a transparent one emission times the mean distance to its sides; 64 directions alone meet 6 % too little."""
+    size, gas = np.array([4.0, 0.2, 0.2]), jaxir.GrayGas(1e-4)
+    particles = jaxir.GrayParticles(1e-6, 0.9, jaxir.Isotropic())
+    plume = jaxir.GridPlume(jaxir.Grid((0.0, 0.0, 0.0), size / 4, (4, 4, 4)), 600.0, gas, particles)
+    points, mean = arriving(jaxir.Scene(None, plume))
+    points, mean = (np.asarray(x).reshape(9, 9, 9, -1)[::2, ::2, ::2].reshape(125, -1) for x in (points, mean))
+    toward = np.random.default_rng(0).normal(size=(20000, 3))
+    toward /= np.linalg.norm(toward, axis=1)[:, None]
+    ahead = (np.where(toward > 0, size, 0.0) - np.asarray(points, float)[:, None]) / toward
+    black = float(jaxir.band_radiance(jnp.asarray(600.0), gray_nodes((jaxir.MWIR,)))[0])
+    exact = 1e-4 * black * ahead.min(axis=2).mean(axis=1)
+    np.testing.assert_allclose(np.mean(mean), exact.mean(), rtol=4e-3)
+
+
 def solid_angle(points, corners):
     """Of triangles as seen from points [point, triangle] [sr] (van Oosterom and Strackee)."""
     a, b, c = (corners[None, :, k] - points[:, None] for k in range(3))
@@ -605,16 +620,16 @@ def test_what_is_scattered_of_the_sun_is_what_is_taken_from_it(x64):
 @optimised
 @pytest.mark.parametrize("depth", [0.3, 1.0])
 def test_what_a_slab_reflects_and_transmits_of_the_sun_is_all_of_it(x64, depth):
-    """R + T = 1 by the lattice alone: a slab 1 m thick and 40 m wide that absorbs nothing."""
+    """R + T = 1 by the lattice alone: a slab 1 m thick and 120 m wide that absorbs nothing."""
     cosine, weight = (x / 2 for x in np.polynomial.legendre.leggauss(32))
     cosine = np.concatenate([cosine + 0.5, -cosine - 0.5])
     toward = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], axis=1)
     origin = np.array([[0.0, 0.0, 0.5]]) - 5 * toward / np.abs(cosine)[:, None]
-    grid = jaxir.Grid((-20.0, -20.0, 0.0), (20.0, 20.0, 1 / 32), (2, 2, 32))
+    grid = jaxir.Grid((-60.0, -60.0, 0.0), (60.0, 60.0, 1 / 32), (2, 2, 32))
     particles = jaxir.GrayParticles(depth, 1.0, jaxir.Isotropic())
     plume = jaxir.GridPlume(grid, 50.0, jaxir.GrayGas(0.0), particles)
     scene = jaxir.Scene(None, plume, jaxir.ParallelSource((0.0, 0.0, -1.0), 1.0))
-    method = Method(scattering=DiscreteOrdinates(21, 15, 5))
+    method = Method(scattering=DiscreteOrdinates(33, 15, 5))
     seen = np.asarray(look(scene, jaxir.Rays(jnp.asarray(origin), jnp.asarray(toward)), method))[:, 0]
     leaves = 2 * np.pi * np.sum(np.tile(weight, 2) * np.abs(cosine) * seen)
     assert abs(leaves / (1 - np.exp(-depth)) - 1) < 1e-4

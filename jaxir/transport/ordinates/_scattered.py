@@ -21,7 +21,7 @@ from jaxir.transport._method import DiscreteOrdinates
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._halo import DEGREE, Halo, halo
 from jaxir.transport.ordinates._krylov import solved
-from jaxir.transport.ordinates._lattice import Lattice, places, refined
+from jaxir.transport.ordinates._lattice import FINER, Lattice, places, refined
 from jaxir.transport.ordinates._medium import Scattered
 from jaxir.transport.ordinates._part import Beam, Doubt, Part
 from jaxir.transport.ordinates._posed import Moments, Posed, lattices_of, rule
@@ -70,7 +70,8 @@ def solution(given: Posed, ordinates: DiscreteOrdinates, group: Int[Array, ""]) 
                 came = came + collected(place, share, passed, once, read(part)[:, None])
             return None, came
 
-        return einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (given.where, own.passed, into))[1])
+        came = einsum("dh,dpn->phn", by_direction, lax.scan(one, None, (given.where, own.passed, into))[1])
+        return came + own.unseen * _alike(light, own.albedo, lattices)[:, None]
 
     degree = degrees(ordinates.order)
     every, fewer = np.ones_like(degree, dtype=bool), _fewer(ordinates.order)
@@ -140,6 +141,25 @@ def finished(given: Posed, ordinates: DiscreteOrdinates, solutions: Solution) ->
     deep = jnp.any(jnp.stack([beam.misread > MISREAD for beams in given.beams for beam in beams] or [False]))
     told = lax.stop_gradient((jnp.max(solutions.residual[:, 0]), step, backward, deep))
     return Scattered(given.given if errs else given.medium, held, order, *told)
+
+
+def _alike(light: list[Array], albedo: list[Array], lattices: list[Lattice]) -> Float[Array, "point node"]:
+    """What all parts scatter of light that is the same from all sides, as at each point, in other parts as in the mean.
+
+    Args:
+        light: its coefficients, of each part at the points that are solved for or read [some, harmonic, node].
+        albedo: of each part seen from all points [point, node].
+        lattices: of the parts.
+    """
+    total, counts = jnp.zeros_like(albedo[0]), [math.prod(lattice.solved) for lattice in lattices]
+    for k, (own, share, lattice) in enumerate(zip(light, albedo, lattices, strict=True)):
+        mean = own[:, 0] / math.sqrt(4 * math.pi)
+        if len(mean) > counts[k]:
+            every = mean.reshape(*lattice.read, -1)
+            mean = every[tuple(slice(None, None, FINER if n > 1 else 1) for n in lattice.solved)].reshape(counts[k], -1)
+        others = jnp.broadcast_to(jnp.mean(mean, axis=0)[None], total.shape)
+        total = total + share * lax.dynamic_update_slice_in_dim(others, mean, sum(counts[:k]), 0)
+    return total
 
 
 def _fewer(order: int) -> np.ndarray:
