@@ -97,7 +97,7 @@ class CellMedium(AbstractScatterer):
 
     @property
     def frame(self) -> Float[Array, "3 3"]:
-        """See `AbstractScatterer.frame`: edges of the cells, the last that of the box which is least like the others."""
+        """See `AbstractScatterer.frame`: edges of the cells, the last that which is least like the others."""
         size = self.grid.size
         short, middle, long = jnp.sort(size)
         latest = 2 - jnp.argmax(jnp.where(middle**2 > short * long, -size, size)[::-1])  # of a cube the last
