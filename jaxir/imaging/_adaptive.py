@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from functools import partial, reduce
+from functools import cached_property, partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -68,19 +68,25 @@ class Strata:
     count: Int[np.ndarray, " pixel"]
     columns: Int[np.ndarray, " pixel"]
 
+    @cached_property
+    def end(self) -> Int[np.ndarray, " pixel"]:
+        """Where each pixel's strata end among those of all [pixel]."""
+        return np.cumsum(self.count)
+
     def chunks(self, taken: Pass) -> int:
         """Chunks of a pass in which all of them are seen."""
         return -(-int(self.count.sum()) // taken.spots)
 
     def chunk(self, taken: Pass, number: int) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, "spot 4"]]:
         """Pixels of a chunk [pixel], where each begins [pixel], and what `_seen_at` asks for; the last fills up."""
-        size, end = taken.spots, np.cumsum(self.count)
+        size, end = taken.spots, self.end
         begin, last = number * size, min((number + 1) * size, int(end[-1]))
         pixel = np.arange(*np.searchsorted(end, (begin, last - 1), side="right") + (0, 1))
-        first = (end - self.count)[pixel]
+        count, columns = self.count[pixel], self.columns[pixel]
+        first = end[pixel] - count
         place = np.maximum(first - begin, 0)
         name = self.row[pixel] * taken.camera.shape[1] + self.column[pixel]
-        each = np.stack([name, first, self.columns[pixel], self.count[pixel] // self.columns[pixel]], axis=1)
+        each = np.stack([name, first, columns, count // columns], axis=1)
         spots = np.repeat(each, np.diff(place, append=size), axis=0).astype(np.int32)
         spots[:, 1] = np.minimum(np.arange(begin, begin + size), last - 1) - spots[:, 1]
         return pixel, place, spots
@@ -260,7 +266,7 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
         """Pixels of a chunk of strata, of which the last fill up the last chunk, and where each begins in it."""
         pixel, place, spots = strata.chunk(taken, number)
         seen = jax.device_get(own((placed(np.uint32(number)), placed(spots))))
-        mean, apart = jax.tree.map(lambda leaf: leaf[: count.sum() - number * len(spots)], seen)
+        mean, apart = jax.tree.map(lambda leaf: leaf[: strata.end[-1] - number * len(spots)], seen)
         return pixel, place, (mean, apart, jax.tree.map(lambda leaf: np.square(leaf, dtype=np.float64), apart))
 
     with progress("render", chunks) as done:

@@ -100,8 +100,8 @@ class CellMedium(AbstractScatterer):
         """See `AbstractScatterer.frame`: edges of the cells, the last that which is least like the others."""
         size = self.grid.size
         short, middle, long = jnp.sort(size)
-        latest = 2 - jnp.argmax(jnp.where(middle**2 > short * long, -size, size)[::-1])  # of a cube the last
-        return jnp.roll(as_float(np.eye(3)), 2 - latest, axis=0)
+        from_last = jnp.argmax(jnp.where(middle**2 > short * long, -size, size)[::-1])  # of a cube the last
+        return jnp.roll(as_float(np.eye(3)), from_last, axis=0)
 
     @property
     def smooth(self) -> bool:

@@ -298,7 +298,7 @@ def test_derivatives_of_what_an_eye_sees():
     """In the light and in the depth towards the sun where that is read, as without it, in both modes."""
     scene, _ = in_the_sun()
     lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), lattice(0))
-    lit = eqx.tree_at(lambda lit: lit.medium.deep, lit, jnp.asarray(False))
+    lit = eqx.tree_at(lambda lit: lit.medium.parts[0].beams[0].misread, lit, jnp.zeros(()))
     camera = jaxir.fitted_camera(70.0, 20.0, scene.extent(), (8, 8))
     screen = camera.half_size()[None] * as_float(np.random.default_rng(0).uniform(-1, 1, (200, 2)))
     rays = camera.bundle(screen, scene.start(camera)).rays()

@@ -100,6 +100,12 @@ def refined(
     return whole.reshape(-1, *table.shape[1:])
 
 
+def at_solved(lattice: Lattice, table: Float[Array, "read *more"]) -> Float[Array, "point *more"]:
+    """A table at the points that are read, at those alone that are solved for."""
+    whole = table.reshape(*lattice.read, -1)[::FINER, ::FINER, ::FINER]
+    return whole.reshape(-1, *table.shape[1:])
+
+
 class Between(NamedTuple):
     """The eight points of a lattice about a place: four pairs that follow one another, and the shares of both.
 

@@ -34,6 +34,7 @@ from jaxir.transport.ordinates._part import Aimed, Near, Part, Told
 
 SOLVED = 2e-5  # residual of a solution at most
 THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
+MISREAD = 0.01  # of what is scattered of a source's light may err by how depths are read between points
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
 MORE = 12  # cuts of a ray where light that reaches it comes from
@@ -52,8 +53,6 @@ class Scattered(AbstractMedium):
         step: largest optical depth of scattering between neighbours of the lattice on that of its axes on which it is
             least: light leaves a long plume across, and along it little changes from one depth to the next.
         backward: largest Legendre moment beyond the harmonics that is none of a forward lobe.
-        deep: whether depths towards sources without extent, read between the lattice's points, err by more than
-            `MISREAD` of what is scattered of their light. Light is looked for through the medium then.
     """
 
     medium: AbstractMedium
@@ -62,7 +61,6 @@ class Scattered(AbstractMedium):
     residual: Float[Array, ""]
     step: Float[Array, ""]
     backward: Float[Array, ""]
-    deep: Bool[Array, ""]
 
     def radiance(
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
@@ -108,6 +106,12 @@ class Scattered(AbstractMedium):
             return lax.cond(meet, lambda: part.sent(near), lambda: part.source(near, point, direction))
 
         return radiance_between(cuts, rays, behind, coefficients)
+
+    @property
+    def deep(self) -> Bool[Array, ""]:
+        """Whether depths towards a source err by more than `MISREAD`: all are looked for through the medium then."""
+        every = [beam.misread > MISREAD for part in self.parts for beam in part.beams]
+        return jnp.any(jnp.stack(every or [False]))
 
     def _near(self, part: Part, point: Float[Array, "ray 3"]) -> Near:
         """What is needed of a part at points; where what the lattice errs is sampled, that of beams too."""

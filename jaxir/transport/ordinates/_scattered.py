@@ -21,7 +21,7 @@ from jaxir.transport._method import DiscreteOrdinates
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._halo import DEGREE, Halo, halo
 from jaxir.transport.ordinates._krylov import solved
-from jaxir.transport.ordinates._lattice import FINER, Lattice, places, refined
+from jaxir.transport.ordinates._lattice import Lattice, at_solved, places, refined
 from jaxir.transport.ordinates._medium import Scattered
 from jaxir.transport.ordinates._part import Beam, Doubt, Part
 from jaxir.transport.ordinates._posed import Moments, Posed, lattices_of, rule
@@ -32,7 +32,6 @@ CLOSE = {"float32": 2e-6, "float64": 1e-8}
 MOST_STEPS = 200
 FEWER = 2  # degrees of the solution that shows what harmonics do
 FINE, JUMPS = 0.25, 2.0  # times the change by `Lattice.lines` that moments err where a medium is smooth, and else
-MISREAD = 0.01  # of what is scattered of a source's light may err by how depths are read
 CLOSE_OF_OTHERS = 1e-4  # residual at which those end that show what the lattice errs
 
 
@@ -138,8 +137,7 @@ def finished(given: Posed, ordinates: DiscreteOrdinates, solutions: Solution) ->
     )
     step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
     backward = jnp.max(jnp.stack([own.beyond for own in given.moments]))
-    deep = jnp.any(jnp.stack([beam.misread > MISREAD for beams in given.beams for beam in beams] or [False]))
-    told = lax.stop_gradient((jnp.max(solutions.residual[:, 0]), step, backward, deep))
+    told = lax.stop_gradient((jnp.max(solutions.residual[:, 0]), step, backward))
     return Scattered(given.given if errs else given.medium, held, order, *told)
 
 
@@ -155,8 +153,7 @@ def _alike(light: list[Array], albedo: list[Array], lattices: list[Lattice]) -> 
     for k, (own, share, lattice) in enumerate(zip(light, albedo, lattices, strict=True)):
         mean = own[:, 0] / math.sqrt(4 * math.pi)
         if len(mean) > counts[k]:
-            every = mean.reshape(*lattice.read, -1)
-            mean = every[tuple(slice(None, None, FINER if n > 1 else 1) for n in lattice.solved)].reshape(counts[k], -1)
+            mean = at_solved(lattice, mean)
         others = jnp.broadcast_to(jnp.mean(mean, axis=0)[None], total.shape)
         total = total + share * lax.dynamic_update_slice_in_dim(others, mean, sum(counts[:k]), 0)
     return total
