@@ -59,9 +59,12 @@ def render_command(arguments: argparse.Namespace) -> None:
             began = time.perf_counter()
             asked = read.render | split_by(arguments)
             image = naming(read, partial(render, scene, camera, read.bands, method=read.method, **asked))
+            missed = " or ".join(f"render.{name}" for name in ("rtol", "atol", "pixel_rtol") if name in asked)
             if bool(image.outcome == Outcome.samples_spent):
-                missed = " or ".join(f"render.{name}" for name in ("rtol", "atol", "pixel_rtol") if name in asked)
                 said = f"{read.file}: {missed} was not met with {int(image.samples)} samples ({_limits(render, asked)})"
+                warnings.warn(said, stacklevel=1)
+            elif bool(image.outcome == Outcome.left_out):
+                said = f"{read.file}: {missed} was not met, because orders or bounces leave out more than that"
                 warnings.warn(said, stacklevel=1)
             errors = image.error_budget(arguments.errors)
             warn_of_errors(read, errors)

@@ -15,6 +15,7 @@ from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Sobol
 from jaxir.imaging._adaptive import Look, looked, looks
 from jaxir.imaging._chunks import Pass, scattered_for
+from jaxir.imaging._left_out import enough_bounces, lights_its_skin
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.imaging._tolerance import Goal
 from jaxir.scene import Scene
@@ -23,6 +24,7 @@ from jaxir.transport import (
     DirectSampling,
     DiscreteOrdinates,
     Method,
+    aimed,
     faces_in_sight,
     lattice_error,
     patch_that_shines,
@@ -39,6 +41,7 @@ SAMPLED = 4  # orders of scattering in which what a lattice errs is sampled
 EVEN = 4  # times the rays of a pilot that all pixels take, beyond which it is looked where they are needed
 LITTLE = 2**22  # work of an image that is done before it is known where its rays are needed
 MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
+LEFT = 0.5  # of the tolerance that bounces beyond the last may add
 
 
 class Trial(NamedTuple):
@@ -96,6 +99,22 @@ def few_rays(wanted: float, most: int) -> int:
     return next((count for count in well_shaped(most) if count >= max(wanted, FEW)), well_shaped(most)[-1])
 
 
+def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, float]:
+    """A pass of as many bounces as leave out at most `LEFT` of what is asked, and the share they leave out.
+
+    Of the intensity of the worst band, which a pilot of the pass finds.
+    """
+    lit = first.lit
+    if not lights_its_skin(lit.scene):
+        return first, 0.0
+    few = dataclasses.replace(first.method, orders=min(FEW_ORDERS, first.method.orders))
+    intensity = np.abs(pilot(first._replace(method=few)).intensity)
+    camera = jax.tree.map(lambda leaf: leaf[None], first.camera)
+    bounces, left = enough_bounces(lit, camera, few, LEFT * goal.tolerance.allowed(intensity)[None])
+    share = np.divide(left[0], intensity, out=np.where(left[0] > 0, np.inf, 0.0), where=intensity > 0)
+    return first._replace(method=dataclasses.replace(first.method, bounces=bounces)), float(share.max())
+
+
 def best_way(first: Pass, goal: Goal, asked: bool) -> tuple[list[Trial], Choice, Look | None]:
     """What was tried of a pass of few rays per pixel, the best of it, and what tells where rays go, if not everywhere.
 
@@ -120,11 +139,18 @@ def best_way(first: Pass, goal: Goal, asked: bool) -> tuple[list[Trial], Choice,
     return trials, *where_it_varies(cheapest(trials, goal), goal)
 
 
+def suffices(chosen: Choice, first: Pass, goal: Goal) -> bool:
+    """Whether a way that was chosen for another camera leaves out no more than is asked, or no less could be had."""
+    trial = chosen.trial
+    if trial.left_out > 1:
+        return True
+    method = dataclasses.replace(trial.method, bounces=first.method.bounces)
+    return _trial(first._replace(lit=aimed(trial.first.lit, first.camera), method=method), goal).left_out <= 1
+
+
 def _trial(first: Pass, goal: Goal, solving: float = 0.0) -> Trial:
     found = pilot(first, _lattice_error(first.lit, first.camera))
-    intensity = np.abs(found.intensity)
-    left_out = np.multiply(found.truncation, intensity, out=np.zeros_like(intensity), where=intensity > 0)
-    return Trial(first, found, float(goal.tolerance.excess(intensity, left_out)), solving)
+    return Trial(first, found, float(goal.tolerance.beyond(np.abs(found.intensity), found.truncation)), solving)
 
 
 _lattice_error = program(lattice_error)
@@ -201,6 +227,8 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
         return [closed, by(DirectSampling(1, 0))]
     except ValueError:
         pass
+    if given.bounces:  # each way takes long to compile, and many samples are lost on what is reflected again
+        return [given]
     ways = [
         by(DirectSampling(1, 0)),
         by(DirectSampling(1, 1)),

@@ -11,18 +11,19 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._arrays import placed
+from jaxir._arrays import as_float, placed
 from jaxir._math import matmul, safe_sqrt
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.geometry.search import is_convex
 from jaxir.imaging._quadrature import quadrature_error, refined
 from jaxir.optics.spectrum import Nodes
-from jaxir.scene import Scene, nodes_error, on_nodes
+from jaxir.scene import Lit, Scene, nodes_error, on_nodes
 from jaxir.transport import Method, bounced, trace
 
-PATHS = 1024  # of a view
+PATHS = 2048  # of a view
 FURTHER = 4  # bounces beyond the last
+MOST_BOUNCES = 63  # that are chosen
 
 
 class Asked(eqx.Module):
@@ -63,13 +64,13 @@ class Asked(eqx.Module):
         """
         if self.method.ambient is not None:
             return None
-        if not _skin_is_lit_by_parts(self.scene):
+        if not lights_its_skin(self.scene):
             return self._none()
         if not look:
             return None
-        method = dataclasses.replace(self.method, bounces=self.method.bounces + FURTHER)
         with jax.ensure_compile_time_eval():
-            return self._by_view(left_out(self.scene, self.nodes, self._views(), method))
+            found = left_out(_on_nodes(self.scene, self.nodes), self._views(), _further(self.method, 0))
+            return self._by_view(found[:, 0])
 
     def _views(self) -> Camera:
         """The cameras [view], one for an image."""
@@ -84,7 +85,10 @@ class Asked(eqx.Module):
         return placed(np.zeros(shape, self.nodes.weight.dtype))
 
 
-def _skin_is_lit_by_parts(scene: Scene) -> bool:
+_on_nodes = program(on_nodes)
+
+
+def lights_its_skin(scene: Scene) -> bool:
     """Whether skin may meet the light of other skin or of plumes."""
     if scene.skin is None or scene.plumes:
         return scene.skin is not None
@@ -94,30 +98,72 @@ def _skin_is_lit_by_parts(scene: Scene) -> bool:
     return not all(is_convex(vertices, side) for side in sides)
 
 
-@program
-def left_out(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Float[Array, "view band"]:
-    """About what more bounces would add to the intensity of views [view, band] [W sr-1].
+def enough_bounces(
+    lit: Lit, cameras: Camera, method: Method, allowed: Float[np.ndarray, "view band"]
+) -> tuple[int, Float[np.ndarray, "view band"]]:
+    """The fewest bounces, those of a method or more, that leave out at most what is allowed, and what they leave out.
 
-    With y_i of density p on the skin, drawn by the area that faces look at the eye with, and V_i = 1 where y_i is the
-    first that the eye's ray through it meets, inside the frame,
+    Args:
+        lit: with skin.
+        cameras: [view].
+        method: how light is found else.
+        allowed: of the intensity of every view [view, band] [W sr-1].
+
+    Returns:
+        Bounces, `MOST_BOUNCES` at most, and what more of them would add [view, band] [W sr-1], see `left_out`.
+    """
+    less = method.bounces
+    while True:
+        found = np.asarray(left_out(lit, cameras, _further(method, less - method.bounces)), np.float64)
+        enough = np.flatnonzero((found <= allowed[:, None]).all(axis=(0, 2)))
+        if enough.size or less + FURTHER > MOST_BOUNCES:
+            place = int(enough[0]) if enough.size else FURTHER - 1
+            return less + place, found[:, place]
+        less = min(less + FURTHER + _more(found, allowed), MOST_BOUNCES + 1 - FURTHER)
+
+
+def _more(found: Float[np.ndarray, "view bounce band"], allowed: Float[np.ndarray, "view band"]) -> int:
+    """How many bounces beyond `FURTHER` are of no use, if what is left out goes on to fall as it did."""
+    last, falls = found[:, -1], found[:, -1] < found[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wanted = np.log(last / allowed) / np.log(found[:, 0] / last) * (FURTHER - 1)
+    short = falls & (last > allowed) & np.isfinite(wanted)
+    return int(wanted[short].max()) - 1 if short.any() and wanted[short].max() >= 1 else 0
+
+
+def _further(method: Method, more: int) -> Method:
+    """A method that follows paths `FURTHER` bounces beyond some more than its own."""
+    return dataclasses.replace(method, bounces=method.bounces + more + FURTHER)
+
+
+@program
+def left_out(lit: Lit, cameras: Camera, method: Method) -> Float[Array, "view bounce band"]:
+    """About what more bounces would add to the intensity of views [view, bounce, band] [W sr-1].
+
+    Of the method's bounces, less `FURTHER`, and of up to `FURTHER` - 1 more.
+
+    With y_i of density p on the skin, half of them drawn by the area that faces look at the eye with and half by that
+    times their glow, and V_i = 1 where y_i is the first that the eye's ray through it meets, inside the frame,
 
         I_k = 1/N sum_i V_i L_k(y_i) |n . e| / (p (1 - z / range)^3 (1 + tan^2)^2)
 
     is what comes after k more bounces, e being the direction to the eye, z the height over the target and tan that of
-    the angle off the camera's axis. `FURTHER` of them are summed, the rest is that of a geometric series with their
-    mean ratio, and twice the standard error of the sum is added. What particles in front of the skin scatter of it is
-    not looked for.
+    the angle off the camera's axis. Those of `FURTHER` that are left are summed, the rest is that of a geometric series
+    with their mean ratio, or with the largest reflectance met, at 60 degrees, where few paths bring more and more, and
+    twice the standard error of the sum is added. What particles in front of the skin scatter of it is not looked for.
 
     Args:
-        scene: with skin.
-        nodes: the spectral axis.
+        lit: with skin.
         cameras: [view].
         method: with `FURTHER` bounces more than were followed.
     """
-    lit = on_nodes(scene, nodes)
-    assert scene.skin is not None
-    mesh, closed = scene.skin.mesh, scene.skin.mesh.closed
+    skin, nodes = lit.scene.skin, lit.nodes
+    assert skin is not None
+    mesh, closed = skin.mesh, skin.mesh.closed
     corners, vector = mesh.corners(), mesh.area_vectors()
+    assert lit.blackbody is not None
+    glow = nodes.in_band(jnp.broadcast_to(lit.blackbody, (mesh.count, nodes.count)))
+    shine = jnp.mean(glow / jnp.where(glow.max(axis=0) > 0, glow.max(axis=0), 1)[None], axis=1)
 
     def one(own: tuple[Camera, Array]) -> Array:
         camera, key = own
@@ -125,7 +171,9 @@ def left_out(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Flo
         eye = _to_eye(camera, corners.mean(axis=1))
         facing = jnp.sum(vector * eye, axis=1)
         facing = jnp.maximum(facing, 0) if closed else jnp.abs(facing)
-        sums = jnp.cumsum(facing)
+        drawn = facing * shine
+        drawn = facing / _sum(facing) + drawn / _sum(drawn)  # half of the paths from where it is warm
+        sums = jnp.cumsum(drawn)
         u = jax.random.uniform(for_place, (PATHS, 3), corners.dtype)
         even = (jnp.arange(PATHS, dtype=u.dtype) + u[:, 0]) / PATHS
         face = jnp.clip(jnp.searchsorted(sums, even * sums[-1]), 0, mesh.count - 1)
@@ -139,13 +187,21 @@ def left_out(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Flo
         seen = (paths.face == face) & jnp.all(jnp.abs(screen) <= half[None], axis=1) & (facing[face] > 0)
         height = matmul(point - camera.target[None], camera.frame[2])
         slant = camera.slant(screen)
-        turned = jnp.abs(jnp.sum(vector[face] * _to_eye(camera, point), axis=1)) / jnp.where(seen, facing[face], 1)
+        turned = jnp.abs(jnp.sum(vector[face] * _to_eye(camera, point), axis=1)) / jnp.where(seen, drawn[face], 1)
         weight = jnp.where(seen, sums[-1] * turned / ((1 - height * camera.inverse_range) ** 3 * slant**2), 0)
         found = nodes.in_band(bounced(lit, paths, method.bounces + 1 - FURTHER)) * weight[None, :, None]
-        return _series(found)
+        most = jax.vmap(lambda own: own.directional_reflectance(cosine))(skin.brdf.at(face))
+        return _series(found, jnp.max(most))
 
+    cosine = as_float(0.5)
     keys = jax.random.split(jax.random.key(0), cameras.frame.shape[0])
     return lax.map(one, (cameras, keys))
+
+
+def _sum(values: Array) -> Array:
+    """The sum, or 1 where that is 0."""
+    total = jnp.sum(values)
+    return jnp.where(total > 0, total, 1)
 
 
 def _to_eye(camera: Camera, point: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
@@ -153,12 +209,16 @@ def _to_eye(camera: Camera, point: Float[Array, "point 3"]) -> Float[Array, "poi
     return camera.frame[2][None] - (point - camera.target[None]) * camera.inverse_range
 
 
-def _series(found: Float[Array, "bounce path band"]) -> Float[Array, " band"]:
-    """The sum of a series from samples of its first terms, and twice its standard error; inf where it does not fall."""
+def _series(found: Float[Array, "bounce path band"], most: Float[Array, ""]) -> Float[Array, "bounce band"]:
+    """Sums of a series from each of its first terms on, with twice their standard errors; of the terms samples are known.
+
+    By their mean ratio, or `most` where few samples make them rise; inf where that is 1.
+    """
     terms, count = found.mean(axis=1), found.shape[1]
     first, last = terms[:-1].sum(axis=0), terms[1:].sum(axis=0)
-    falls = last < first
-    rest = terms[-1] * last / jnp.where(falls, first - last, 1)
-    total = terms.sum(axis=0)
-    error = safe_sqrt(jnp.var(found.sum(axis=0), axis=0) / count)
-    return jnp.where(total == 0, 0, jnp.where(falls, total + rest + 2 * error, jnp.inf))
+    ratio = jnp.where(last < first, last / jnp.where(first > 0, first, 1), most)
+    rest = jnp.where(ratio < 1, terms[-1] * ratio / jnp.where(ratio < 1, 1 - ratio, 1), jnp.inf)
+    onwards = lax.cumsum(found, reverse=True)
+    total = onwards.mean(axis=1)
+    error = safe_sqrt(jnp.var(onwards, axis=1) / count)
+    return jnp.where(total == 0, 0, total + rest[None] + 2 * error)

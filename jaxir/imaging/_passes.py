@@ -116,15 +116,17 @@ def render(
     )
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 
-    def ended(image: Image, met: bool | None) -> Image:
+    def ended(image: Image, met: bool | None, bounces: float = 0.0) -> Image:
         if met is not None:
             outcome = Outcome.tolerance_met if met else Outcome.samples_spent
+            if met and goal is not None and leaves_out(image, goal, bounces):
+                outcome = Outcome.left_out
             image = eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
         asked = Asked(scene, first.lit.nodes, camera, first.method)
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
     parts = PARTS if devices is None else max(PARTS, devices.size)
-    planned = samples is None and pixel_rtol is None
+    planned, bounces = samples is None and pixel_rtol is None, 0.0
     samples = 8 if samples is None else samples
     if goal is None:
         return ended(even_image(first._replace(parts=parts), 0, samples, mesh, alone=True), None)
@@ -133,7 +135,7 @@ def render(
     if planned:
         found, look = plan_pass(first._replace(components=None).of(few), goal, method is not None)
         first = scattered_for(first, found.method)
-        samples = found.samples
+        samples, bounces = found.samples, found.bounces or 0.0
     first = first._replace(parts=parts)
     if pixel_rtol is None and look is None:
         image, met = repeated(first, goal, samples, planned, few, mesh)
@@ -141,7 +143,13 @@ def render(
         if look is None or (look.ends(goal) and first.components is not None):  # of the answer no parts were asked
             look = looked(first, goal, few, first.noisy, mesh)
         image, met = adapted(first, goal, look, mesh)
-    return ended(image, met and wanted <= max_samples)
+    return ended(image, met and wanted <= max_samples, bounces)
+
+
+def leaves_out(image: Image, goal: Goal, bounces: float) -> bool:
+    """Whether what is left out of an intensity exceeds what is asked: of particles, or the share that bounces add."""
+    intensity = np.abs(np.asarray(image.radiant_intensity(), np.float64))
+    return any(goal.tolerance.beyond(intensity, share) > 1 for share in (image.truncation, bounces))
 
 
 def repeated(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import operator
 import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
@@ -14,13 +17,15 @@ from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import Look, seconds_of
-from jaxir.imaging._choices import FEW, Choice, Trial, best_way, few_rays, rays_to_see
-from jaxir.imaging._chunks import Pass, first_pass
+from jaxir.imaging._choices import FEW, Choice, Trial, best_way, few_rays, rays_to_see, suffices, with_bounces
+from jaxir.imaging._chunks import Pass, as_number, division, first_pass
+from jaxir.imaging._left_out import lights_its_skin
 from jaxir.imaging._tolerance import Goal, Tolerance, goal_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene
 from jaxir.transport import ClosedForm, Method
 
+VIEWED = 5  # views that decide how light is found in all of a signature
 CALLS = 3  # that are timed: other work may disturb one
 
 
@@ -51,6 +56,7 @@ class Plan(NamedTuple):
         tolerance: asked.
         expected: predicted standard error over intensity, of the worst band.
         truncation: estimated share of the intensity that is left out of what particles scatter, of the worst band.
+        bounces: and of what skin reflects more often than the method's `bounces`; None where a method was given.
     """
 
     terms: tuple[Term, ...]
@@ -61,6 +67,7 @@ class Plan(NamedTuple):
     tolerance: Tolerance
     expected: float
     truncation: float
+    bounces: float | None
 
     def __str__(self) -> str:
         """One sentence per term."""
@@ -135,6 +142,7 @@ def plan_pass(first: Pass, goal: Goal, asked: bool, call: float | None = None) -
         call: seconds that a call takes before its first ray; None where nobody asks for seconds.
     """
     scene, tolerance = first.lit.scene, goal.tolerance
+    first, left = (first, None) if asked else with_bounces(first, goal)
     trials, chosen, look = best_way(first, goal, asked)
     trial = chosen.trial
     if call is not None:
@@ -144,12 +152,38 @@ def plan_pass(first: Pass, goal: Goal, asked: bool, call: float | None = None) -
         *_along_the_ray(first.lit, first.camera),
         *_by_particles(scene, trials, chosen),
         *_at_the_skin(scene, trials, chosen, asked),
+        *_between_skin(trial.method, left),
         *_beyond(scene),
         _pixels(chosen, tolerance, look),
     )
     ready = trial.pilot.compile_seconds + trial.solving
     cost = chosen.samples, chosen.seconds, ready
-    return Plan(terms, trial.method, *cost, tolerance, chosen.expected, trial.truncation), look
+    return Plan(terms, trial.method, *cost, tolerance, chosen.expected, trial.truncation, left), look
+
+
+def way_for_views(lit: Lit, cameras: Camera, key: Key[Array, ""], goal: Goal) -> Method:
+    """How light is found in all views of a signature: as the most demanding of `VIEWED`, spread evenly, asks for.
+
+    Args:
+        lit: the scene on the nodes.
+        cameras: [view].
+        key: random key of the pilots.
+        goal: what is asked of each view.
+    """
+    scene, method, bounces = lit.scene, Method(), 0
+    if not (scene.area_sources or scene.scatters or lights_its_skin(scene)):
+        return method
+    chosen: Choice | None = None
+    for view in np.unique(np.linspace(0, cameras.frame.shape[0] - 1, VIEWED).round().astype(np.int32)):
+        camera = jax.tree.map(operator.itemgetter(view), cameras)
+        first = Pass(lit, camera, key, as_number(0), division(FEW, True), Method().resolved(scene))
+        first, _ = with_bounces(first, goal)
+        bounces = max(bounces, first.method.bounces)
+        if scene.area_sources or scene.scatters:
+            if chosen is None or (scene.scatters and not suffices(chosen, first, goal)):
+                chosen = best_way(first, goal, False)[1]
+                method = chosen.trial.method
+    return dataclasses.replace(method, bounces=bounces)
 
 
 def _along_the_ray(lit: Lit, camera: Camera) -> list[Term]:
@@ -205,10 +239,10 @@ def _at_the_skin(scene: Scene, trials: list[Trial], chosen: Choice, asked: bool)
         sentence = f"{len(scene.delta_sources)} without extent, each evaluated with its shadow at every point met"
         terms.append(Term("Sources", True, sentence))
     method = chosen.trial.method.resolved(scene)
-    if method.direct is None and method.bounces == 0:
+    if method.direct is None:
         return terms
     name = _name(method)
-    exact = isinstance(method.direct, ClosedForm) and method.bounces == 0
+    exact = isinstance(method.direct, ClosedForm)
     if asked or len(trials) == 1:
         sentence = f"by {name}, as {'asked' if asked else 'by default'}"
     elif exact:
@@ -221,11 +255,19 @@ def _at_the_skin(scene: Scene, trials: list[Trial], chosen: Choice, asked: bool)
     return [*terms, Term("Reflected light", exact, sentence)]
 
 
+def _between_skin(method: Method, left: float | None) -> list[Term]:
+    """Light that goes from skin to skin, where it may."""
+    if not left and method.bounces == 0:
+        return []
+    more = "" if left is None else f", and more of them would add about {left:.2g} of the intensity"
+    return [Term("Bounces", method.bounces == 0, f"paths go on from skin {method.bounces} times{more}")]
+
+
 def _name(method: Method) -> str:
     light = "nothing" if method.direct is None else type(method.direct).__name__
     counts = ", ".join(f"{n} of {what}" for n, what in zip(method.counts, ("each light", "the brdf"), strict=True) if n)
     samples = f"({counts}) with {type(method.sampler).__name__} points" if counts else ""
-    return f"{light}{samples}{f' and {method.bounces} bounces' if method.bounces else ''}"
+    return f"{light}{samples}"
 
 
 def _efficiency(one: Trial, other: Trial) -> float:

@@ -24,7 +24,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Int
 
 from jaxir.imaging._devices import item_by_item
-from jaxir.imaging._tolerance import FIRST, Tolerance, seconds_of, tolerance_of
+from jaxir.imaging._tolerance import FIRST, Goal, Tolerance, seconds_of, tolerance_of
 
 MARGIN = 0.9  # of the error asked for that is aimed at: what the first look tells is itself uncertain
 ROUNDS = 3  # at most, after the first look; each decides for the next
@@ -43,6 +43,10 @@ class Repeats(NamedTuple):
     tolerance: Tolerance
     looks: int
     seconds: float
+
+    def goal(self, samples: int) -> Goal:
+        """What is asked of one view by looks of so many rays per pixel."""
+        return Goal(self.tolerance, None, self.looks * samples, math.inf)
 
 
 def repeats(

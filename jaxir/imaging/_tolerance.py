@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -41,6 +41,12 @@ class Tolerance(NamedTuple):
         asked = self.allowed(intensity)
         beyond = np.where(error > 0, np.inf, 0.0)
         return np.asarray(np.divide(error, asked, out=beyond, where=asked > 0).max(axis=-1))
+
+    def beyond(self, intensity: Float[np.ndarray, "*view band"], share: Any) -> Float[np.ndarray, "*view"]:
+        """`excess` of an error that is a share of the intensity; of a dark band none counts."""
+        share = np.asarray(share, intensity.dtype)
+        error = np.multiply(share, intensity, out=np.zeros_like(intensity), where=intensity > 0)
+        return self.excess(intensity, error)
 
 
 ANY = Tolerance(0.0, math.inf)  # where nothing is asked

@@ -21,6 +21,7 @@ from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import Division, Pass, division, estimate_chunk, eye_outside, reach_to_eye, whole_image
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.imaging._left_out import Asked
+from jaxir.imaging._planning import way_for_views
 from jaxir.imaging._repeated import Repeats, repeats, until_met
 from jaxir.imaging._tolerance import tolerance_of
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
@@ -86,10 +87,16 @@ class Signature(eqx.Module):
         return budget(*own, None, self.bands, self.asked, look)
 
     def meets(self, rtol: float | None = None, atol: float | None = None) -> Bool[np.ndarray, " view"]:
-        """Whether the standard error of every band of a view is within a tolerance, as `jaxir.signature` means it."""
+        """Whether every band of a view is within a tolerance, as `jaxir.signature` means it.
+
+        The standard error, and what is left out of what particles scatter, each for itself.
+        """
         asked = tolerance_of(rtol, atol)
-        own = (np.asarray(part) for part in (self.intensity, self.standard_error))
-        return np.ones(len(self.azimuth), bool) if asked is None else asked.excess(*own) <= 1
+        if asked is None:
+            return np.ones(len(self.azimuth), bool)
+        intensity = np.abs(np.asarray(self.intensity, np.float64))
+        sampled = asked.excess(intensity, np.asarray(self.standard_error))
+        return np.maximum(sampled, asked.beyond(intensity, self.truncation)) <= 1
 
 
 class Views(NamedTuple):
@@ -145,7 +152,8 @@ def signature(
         shape: rows and columns of the images.
         samples: rays per pixel; even.
         key: random key.
-        method: as `render`.
+        method: how light is found; by default `Method()`, or with rtol or atol as `jaxir.plan` finds cheapest for
+            `VIEWED` of the views, spread evenly, by times that other work may change.
         rtol: standard error of every band's intensity at most, as a share of it, in every view. A first look of
             `samples` decides how many more a view takes (see `jaxir.imaging._repeated`); where it errs by less than a
             third of what is asked it is the answer, else it is no part of it. `Signature.meets` says which views kept
@@ -175,7 +183,8 @@ def signature(
         shape=shape,
         samples=samples,
         key=key,
-        method=Method() if method is None else method,
+        method=method,
+        until=until,
         components=components,
     )
     index = np.arange(asked.aspect.shape[0], dtype=np.int32)
@@ -200,12 +209,7 @@ def each_view(
         until: what is asked of each; None for one look.
         label: of the progress bar.
         devices: of `shared_by`; None for one.
-
-    Raises:
-        ValueError: a tolerance for values known only inside jit.
     """
-    if until is not None and is_traced(views):
-        raise ValueError("rtol, atol: got values known only inside jit, expected a call outside it, or neither of them")
     return until_met(view_intensity, views, index, views.aspect.shape[0], until, label, devices)
 
 
@@ -233,13 +237,20 @@ def prepare_views(
     shape: tuple[int, int],
     samples: int,
     key: Key[Array, ""] | None,
-    method: Method,
+    method: Method | None,
+    until: Repeats | None,
     components: str | None = None,
 ) -> Views:
     """Check what `signature` is asked and make it ready; arguments and errors as there."""
-    aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, method)
-    method = method.resolved(scene)
+    if until is not None and is_traced((scene, views, distance, key, method)):
+        raise ValueError("rtol, atol: got values known only inside jit, expected a call outside it, or neither of them")
+    given = Method() if method is None else method
+    aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, given)
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
+    if method is None and until is not None:
+        enforce(lit, [*cameras.checks(), eye_outside(reach)])
+        given = way_for_views(lit, cameras, key_or_default(key), until.goal(samples))
+    method = given.resolved(scene)
     lit = with_scattered(lit, method)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach), *solution_checks(lit)])
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))

@@ -32,7 +32,8 @@ from jaxir.scene._scene import Lit, Scene, on_nodes
 from jaxir.scene.light import area_sources, backgrounds, delta_sources
 
 RTOL = 0.02  # of the in-band results of probing rays, against the finest nodes
-REFERENCE = RESOLUTIONS[-2]  # 8 quantiles: within .5 % of twelve
+FINEST = RESOLUTIONS[-1]  # 12 quantiles, what all are compared with
+MOST = RESOLUTIONS[-2]  # 8 quantiles: what is taken where nothing is within `RTOL`
 UNKNOWN = RESOLUTIONS[4]  # where the scene's values are not known yet
 KEPT = 32  # choices
 _ACROSS = 6  # rows and columns of probing rays in each direction
@@ -136,21 +137,20 @@ def _apart(results: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _candidates(bands: tuple[Band, ...]) -> list[Nodes]:
-    """From few nodes to many: gray ones, coarser ones than the reference, the reference."""
-    tries = [resolved_nodes(bands, *resolution) for resolution in RESOLUTIONS[: RESOLUTIONS.index(REFERENCE)]]
-    return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count), resolved_nodes(bands, *REFERENCE)]
+    """From few nodes to many: gray ones, those of `RESOLUTIONS` up to `MOST`."""
+    tries = [resolved_nodes(bands, *resolution) for resolution in RESOLUTIONS[: RESOLUTIONS.index(MOST) + 1]]
+    return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count)]
 
 
 def _fewest(scene: Scene, bands: tuple[Band, ...]) -> tuple[int, np.ndarray]:
     """`scene_nodes` of known values: which of `_candidates`, and its error [band]."""
-    coarse, candidates = _coarse(scene), _candidates(bands)
-    reference = candidates[-1]
-    finest = _results(coarse, reference, reference.count)
-    for place, nodes in enumerate(candidates[:-1]):
-        error = _apart(_results(coarse, nodes, reference.count), finest)
+    coarse, finest = _coarse(scene), resolved_nodes(bands, *FINEST)
+    true = _results(coarse, finest, finest.count)
+    for place, nodes in enumerate(_candidates(bands)):
+        error = _apart(_results(coarse, nodes, finest.count), true)
         if np.all(error <= RTOL):
-            return place, error
-    return len(candidates) - 1, error  # that of the finest but one, which is larger than its own
+            break
+    return place, error
 
 
 def _value(leaf: Array) -> Array:

@@ -22,12 +22,12 @@ def test_a_plan_has_a_sentence_for_every_term():
     scene = jaxir.Scene(
         plate(), gray_box((1.0, 1.0, 1.0), 0.5), (SUN,), jaxir.BlackbodyBackground(250.0), jaxir.FixedPath(0.9, 0.1)
     )
-    names = ["Plume", "Emission", "Sources", "Reflected light", "Background", "Air", "Pixels"]
+    names = ["Plume", "Emission", "Sources", "Reflected light", "Bounces", "Background", "Air", "Pixels"]
     lit = jaxir.plan(scene, CAMERA, jaxir.LWIR, 0.02)
-    assert [(term.name, term.exact) for term in lit.terms] == [(n, n not in (names[3], "Pixels")) for n in names]
-    assert lit.method == jaxir.Method().resolved(scene)
+    assert [(term.name, term.exact) for term in lit.terms] == [(n, n not in (*names[3:5], "Pixels")) for n in names]
+    assert lit.method == jaxir.Method(bounces=1).resolved(scene) and lit.bounces < 0.01  # the plume lights the plate
     assert "DirectSampling(1 of each light, 1 of the brdf) with Independent points, as by default" in str(lit)
-    del names[3]
+    del names[3:5]
     found = jaxir.plan(scene, CAMERA, jaxir.LWIR, 0.02, method=jaxir.Method(direct=None))
     assert [term.name for term in found.terms] == names
     assert [term.exact for term in found.terms] == [True] * 5 + [False]

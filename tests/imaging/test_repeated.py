@@ -18,7 +18,7 @@ RASTER = {"shape": (8, 8), "samples": 2}
 
 
 def seen(key=0, **asked):
-    return jaxir.signature(SCENE, VIEWS, jaxir.LWIR, key=jax.random.key(key), **RASTER, **asked)
+    return jaxir.signature(SCENE, VIEWS, jaxir.LWIR, key=jax.random.key(key), **RASTER, method=jaxir.Method(), **asked)
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_seconds_end_it_with_what_they_allowed(looks, monkeypatch):
     assert len(looks) == len(VIEWS)
     np.testing.assert_array_equal(np.asarray(first.intensity), np.asarray(once.intensity))
     del looks[:]
-    jaxir.signature(SCENE, VIEWS[:1], jaxir.LWIR, **RASTER, rtol=1e-3, max_seconds=20.0)
+    jaxir.signature(SCENE, VIEWS[:1], jaxir.LWIR, **RASTER, method=jaxir.Method(), rtol=1e-3, max_seconds=20.0)
     assert 15 < len(looks) <= 20
 
 
@@ -105,7 +105,7 @@ def test_components_are_of_the_same_looks():
 
 
 def test_a_sweep_gives_the_same_also_where_it_goes_on(tmp_path, looks):
-    asked = {**RASTER, "key": jax.random.key(3), "rtol": 1e-2}
+    asked = {**RASTER, "key": jax.random.key(3), "rtol": 1e-2, "method": jaxir.Method()}
     table = jaxir.signature(SCENE, VIEWS, jaxir.LWIR, **asked)
     whole = sweep(tmp_path / "views", SCENE, VIEWS, jaxir.LWIR, **asked)
     (tmp_path / "views" / "view_000001.npz").unlink()
@@ -141,7 +141,7 @@ def test_what_cannot_be_asked_is_refused(asked, said, tmp_path):
 def test_a_scene_file_asks_for_it_and_what_is_missed_is_said(tmp_path, capsys):
     lamp = "[[sources]]\ntype = 'DiscSource'\ncentre = [1, 0, 1.5]\nnormal = [0, 0, -1]\nradius = 1\nradiance = 3e3\n"
     lit = TEXT[: TEXT.index("[[sources]]")] + lamp + TEXT[TEXT.index("[background]") : TEXT.index("[signature]")]
-    views = "[signature]\nviews = [[0, 0], [40, 30], [180, 0]]\nshape = [8, 8]\nrtol = 0.01\n"
+    views = "[method]\nbounces = 0\n[signature]\nviews = [[0, 0], [40, 30], [180, 0]]\nshape = [8, 8]\nrtol = 0.01\n"
     out = ["-q", "source", "-o", str(tmp_path / "table.csv")]
     assert main(["signature", str(write_scene(tmp_path, lit + views)), *out]) == 0
     table = np.loadtxt(tmp_path / "table.csv", delimiter=",", comments=("#", "azimuth"))

@@ -100,7 +100,15 @@ def _lines(path):
 def _asked():
     scene, aspects = jaxir.Scene(plate(temperature=400.0)), np.array([[0.0, 0.0], [30.0, 10.0]])
     return prepare_views(
-        scene, aspects, NODES, distance=np.inf, shape=(4, 4), samples=2, key=None, method=Method(direct=None)
+        scene,
+        aspects,
+        NODES,
+        distance=np.inf,
+        shape=(4, 4),
+        samples=2,
+        key=None,
+        method=Method(direct=None),
+        until=None,
     )
 
 

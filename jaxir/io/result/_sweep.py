@@ -31,6 +31,7 @@ from jaxir.imaging import (
 )
 from jaxir.io._array_files import load_arrays
 from jaxir.io._files import labels, read_text, remove_parts, written_whole
+from jaxir.io.result._way import WAY, read_way, write_way
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
 from jaxir.transport import Method
@@ -82,7 +83,7 @@ def sweep(
         shape: rows and columns of the images.
         samples: rays per pixel.
         key: random key.
-        method: as `jaxir.render`.
+        method: as `jaxir.signature`; one that is chosen is kept in the folder, and serves views that are added, too.
         rtol: as `jaxir.signature`, and so on; a view is written when it keeps to it or gives up.
         atol: as `jaxir.signature`.
         max_samples: as `jaxir.signature`.
@@ -111,6 +112,8 @@ def sweep(
     if is_traced((scene, views, distance, key, method)):
         raise ValueError("sweep: got values known only inside jit, expected a call outside it")
     until = repeats(rtol, atol, samples, max_samples, max_seconds)
+    chosen = method is None and until is not None
+    kept = read_way(Path(folder)) if chosen else method
     asked = prepare_views(
         scene,
         views,
@@ -119,7 +122,8 @@ def sweep(
         shape=shape,
         samples=samples,
         key=key,
-        method=Method() if method is None else method,
+        method=kept,
+        until=until,
         components=components,
     )
     mesh = shared_by(devices, asked.aspect.shape[0], "views")
@@ -128,7 +132,7 @@ def sweep(
         bands=asked.lit.nodes,
         distance=as_float(distance),
         pixels=(shape, samples),
-        method=asked.method,
+        method=None if chosen else asked.method,
         key=jax.random.key_data(key_or_default(key)),
         **({} if components is None else {"components": components}),
         **({} if until is None else {"tolerance": until}),
@@ -136,6 +140,10 @@ def sweep(
     files = _Folder(Path(folder), asked)
     count = asked.aspect.shape[0]
     there = _from_first(lambda: files.finished(conditions), np.zeros(count, bool))
+    if chosen and kept is None and there.any():
+        raise ValueError(f"{files.path}: got views without {WAY}, expected both or none")
+    if chosen and jax.process_index() == 0:
+        write_way(files.path, asked.method)
     to_do = np.flatnonzero(~there).astype(np.int32)
     for view, values in each_view(asked, to_do, until, "sweep", mesh):
         if jax.process_index() == 0:

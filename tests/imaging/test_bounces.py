@@ -1,0 +1,106 @@
+"""Bounces as many as an error asked for needs: against long paths, in images, plans and tables."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir import LWIR, MWIR
+from jaxir.imaging import _left_out as left_out
+from jaxir.io.result import sweep
+from jaxir.io.result._way import read_way
+from jaxir.scene import scene_nodes
+
+CORNER = jaxir.Mesh(  # three squares, open to (1, 1, 1)
+    [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]],
+    [[0, 1, 4], [0, 4, 2], [0, 2, 6], [0, 6, 3], [0, 3, 5], [0, 5, 1]],
+)
+VIEWS = [(40.0, 30.0), (10.0, 50.0), (80.0, 10.0)]
+RASTER = {"shape": (16, 16), "samples": 8}
+
+
+def corner(emissivity, sources=()):
+    warm = jaxir.Skin(CORNER, np.array([500.0, 500, 300, 300, 300, 300]), jaxir.Lambert(emissivity))
+    return jaxir.Scene(warm, (), sources)
+
+
+def eye(scene):
+    return jaxir.fitted_camera(*VIEWS[0], scene.extent(), (32, 32))
+
+
+@pytest.mark.parametrize("rtol", [0.1, 0.01])
+def test_an_image_and_a_table_follow_paths_as_far_as_is_asked(rtol):
+    """What is left out stays below half of what is asked, and no more bounces than needed are followed."""
+    scene = corner(0.3)
+    camera = eye(scene)
+    long = jaxir.render(scene, camera, LWIR, samples=72, method=jaxir.Method(bounces=24))
+    true, noise = float(long.radiant_intensity()[0]), float(long.intensity_error()[0])
+    plan = jaxir.plan(scene, camera, LWIR, rtol)
+    image = jaxir.render(scene, camera, LWIR, rtol=rtol)
+    assert image.outcome == jaxir.Outcome.tolerance_met
+    bounces = image.asked.method.bounces
+    assert bounces == plan.method.bounces and 0 < plan.bounces <= rtol / 2
+    assert f"paths go on from skin {bounces} times, and more of them would add about {plan.bounces:.2g}" in str(plan)
+    off = abs(float(image.radiant_intensity()[0]) - true)
+    assert off < 0.5 * rtol * true + 3 * float(image.intensity_error()[0]) + 3 * noise
+    fewer = jaxir.render(scene, camera, LWIR, samples=72, method=jaxir.Method(bounces=bounces - 1))
+    lacks = true - float(fewer.radiant_intensity()[0])
+    assert lacks > 0.25 * rtol * true  # what is told is at most 1.35 times that, and two standard errors
+    table = jaxir.signature(scene, VIEWS, LWIR, rtol=rtol, **RASTER)
+    assert abs(table.asked.method.bounces - bounces) <= 1 and table.meets(rtol).all()
+    assert abs(float(table.intensity[0, 0]) - true) < 0.5 * rtol * true + 4 * float(table.standard_error[0, 0])
+
+
+def test_a_method_that_is_given_is_kept_and_dark_or_convex_skin_needs_no_bounces():
+    scene = corner(0.3)
+    image = jaxir.render(scene, eye(scene), LWIR, rtol=0.1, method=jaxir.Method())
+    assert image.asked.method.bounces == 0
+    assert jaxir.plan(scene, eye(scene), LWIR, 0.1, method=jaxir.Method()).bounces is None
+    dark = corner(0.97)
+    found = jaxir.plan(dark, eye(dark), LWIR, 0.1)
+    assert found.method.bounces == 0 and 0 < found.bounces < 0.05
+    assert "paths go on from skin 0 times" in str(found)
+    plate = jaxir.Scene(jaxir.Skin(jaxir.Mesh(CORNER.vertices[:5], CORNER.faces[:2]), 300.0, jaxir.Lambert(0.3)))
+    found = jaxir.plan(plate, eye(plate), LWIR, 0.1)
+    assert found.method.bounces == 0 and found.bounces == 0 and "Bounces" not in str(found)
+
+
+def test_bounces_that_do_not_suffice_are_told(monkeypatch):
+    monkeypatch.setattr(left_out, "MOST_BOUNCES", 3)
+    scene = corner(0.1)
+    image = jaxir.render(scene, eye(scene), LWIR, rtol=0.01)
+    assert image.asked.method.bounces == 3 and image.outcome == jaxir.Outcome.left_out
+
+
+def test_where_the_first_bounces_do_not_suffice_the_next_looks_are_foretold():
+    """In bands of their own, as `left_out` finds them: the fewest whose rest is allowed."""
+    scene = corner(0.05)
+    lit = scene.on(scene_nodes(scene, (MWIR, LWIR)))
+    cameras = jax.tree.map(lambda leaf: leaf[None], eye(scene))
+    every = [
+        np.asarray(left_out.left_out(lit, cameras, jaxir.Method(bounces=least + left_out.FURTHER)))[0]
+        for least in range(0, 20, left_out.FURTHER)
+    ]
+    rest = np.concatenate(every)  # [bounce, band], of paths of their own for each four
+    allowed = rest[9]
+    found, left = left_out.enough_bounces(lit, cameras, jaxir.Method(), allowed[None])
+    assert 8 <= found <= 11 and (left <= allowed).all()
+    assert left_out.enough_bounces(lit, cameras, jaxir.Method(bounces=2), 1.01 * rest[:1])[0] == 2
+
+
+def test_a_sweep_keeps_the_way_that_was_chosen(tmp_path):
+    scene, asked = corner(0.3), {**RASTER, "rtol": 0.05}
+    table = sweep(tmp_path / "views", scene, VIEWS[:2], LWIR, **asked)
+    method = read_way(tmp_path / "views")
+    assert method.bounces == table.asked.method.bounces > 0
+    more = sweep(tmp_path / "views", scene, VIEWS, LWIR, **asked)
+    np.testing.assert_array_equal(more.intensity[:2], table.intensity)
+    assert more.asked.method.bounces == method.bounces
+    way = tmp_path / "views" / "method.json"
+    for damaged in ("{", "3", '{"type": "Method", "bounces": -1}', '{"type": "Nothing"}'):
+        way.write_text(damaged)
+        with pytest.raises(ValueError, match=r"method\.json.*expected"):
+            sweep(tmp_path / "views", scene, VIEWS, LWIR, **asked)
+    way.unlink()
+    with pytest.raises(ValueError, match="views without method.json"):
+        sweep(tmp_path / "views", scene, VIEWS, LWIR, **asked)
