@@ -108,9 +108,15 @@ def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, float]:
     if not lights_its_skin(lit.scene):
         return first, 0.0
     few = dataclasses.replace(first.method, orders=min(FEW_ORDERS, first.method.orders))
-    intensity = np.abs(pilot(first._replace(method=few)).intensity)
+    intensity = np.zeros(0)
+
+    def allowed() -> np.ndarray:
+        nonlocal intensity
+        intensity = np.abs(pilot(first._replace(method=few)).intensity)
+        return LEFT * goal.tolerance.allowed(intensity)[None]
+
     camera = jax.tree.map(lambda leaf: leaf[None], first.camera)
-    bounces, left = enough_bounces(lit, camera, few, LEFT * goal.tolerance.allowed(intensity)[None])
+    bounces, left = enough_bounces(lit, camera, few, allowed)
     share = np.divide(left[0], intensity, out=np.where(left[0] > 0, np.inf, 0.0), where=intensity > 0)
     return first._replace(method=dataclasses.replace(first.method, bounces=bounces)), float(share.max())
 

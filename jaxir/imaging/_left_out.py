@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -12,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, placed
+from jaxir._concurrent import side_by_side
 from jaxir._math import matmul, safe_sqrt
 from jaxir._programs import program
 from jaxir.geometry import Camera
@@ -99,7 +101,7 @@ def lights_its_skin(scene: Scene) -> bool:
 
 
 def enough_bounces(
-    lit: Lit, cameras: Camera, method: Method, allowed: Float[np.ndarray, "view band"]
+    lit: Lit, cameras: Camera, method: Method, allowed: Callable[[], Float[np.ndarray, "view band"]]
 ) -> tuple[int, Float[np.ndarray, "view band"]]:
     """The fewest bounces, those of a method or more, that leave out at most what is allowed, and what they leave out.
 
@@ -107,19 +109,24 @@ def enough_bounces(
         lit: with skin.
         cameras: [view].
         method: how light is found else.
-        allowed: of the intensity of every view [view, band] [W sr-1].
+        allowed: finds what is allowed of every view [view, band] [W sr-1], on a thread beside the first look.
 
     Returns:
         Bounces, `MOST_BOUNCES` at most, and what more of them would add [view, band] [W sr-1], see `left_out`.
     """
+
+    def look() -> Float[np.ndarray, "view bounce band"]:
+        return np.asarray(left_out(lit, cameras, _further(method, less - method.bounces)), np.float64)
+
     less = method.bounces
+    found, most = side_by_side(look, allowed)
     while True:
-        found = np.asarray(left_out(lit, cameras, _further(method, less - method.bounces)), np.float64)
-        enough = np.flatnonzero((found <= allowed[:, None]).all(axis=(0, 2)))
+        enough = np.flatnonzero((found <= most[:, None]).all(axis=(0, 2)))
         if enough.size or less + FURTHER > MOST_BOUNCES:
             place = int(enough[0]) if enough.size else FURTHER - 1
             return less + place, found[:, place]
-        less = min(less + FURTHER + _more(found, allowed), MOST_BOUNCES + 1 - FURTHER)
+        less = min(less + FURTHER + _more(found, most), MOST_BOUNCES + 1 - FURTHER)
+        found = look()
 
 
 def _more(found: Float[np.ndarray, "view bounce band"], allowed: Float[np.ndarray, "view band"]) -> int:
@@ -210,9 +217,9 @@ def _to_eye(camera: Camera, point: Float[Array, "point 3"]) -> Float[Array, "poi
 
 
 def _series(found: Float[Array, "bounce path band"], most: Float[Array, ""]) -> Float[Array, "bounce band"]:
-    """Sums of a series from each of its first terms on, with twice their standard errors; of the terms samples are known.
+    """Sums of a series from each of its first terms on, of which samples are known, with twice their standard errors.
 
-    By their mean ratio, or `most` where few samples make them rise; inf where that is 1.
+    By the terms' mean ratio, or `most` where few samples make them rise; inf where that is 1.
     """
     terms, count = found.mean(axis=1), found.shape[1]
     first, last = terms[:-1].sum(axis=0), terms[1:].sum(axis=0)

@@ -146,11 +146,12 @@ def _fewest(scene: Scene, bands: tuple[Band, ...]) -> tuple[int, np.ndarray]:
     """`scene_nodes` of known values: which of `_candidates`, and its error [band]."""
     coarse, finest = _coarse(scene), resolved_nodes(bands, *FINEST)
     true = _results(coarse, finest, finest.count)
-    for place, nodes in enumerate(_candidates(bands)):
-        error = _apart(_results(coarse, nodes, finest.count), true)
-        if np.all(error <= RTOL):
+    errors: list[np.ndarray] = []
+    for nodes in _candidates(bands):
+        errors.append(_apart(_results(coarse, nodes, finest.count), true))
+        if np.all(errors[-1] <= RTOL):
             break
-    return place, error
+    return len(errors) - 1, errors[-1]
 
 
 def _value(leaf: Array) -> Array:

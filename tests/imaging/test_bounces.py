@@ -83,9 +83,9 @@ def test_where_the_first_bounces_do_not_suffice_the_next_looks_are_foretold():
     ]
     rest = np.concatenate(every)  # [bounce, band], of paths of their own for each four
     allowed = rest[9]
-    found, left = left_out.enough_bounces(lit, cameras, jaxir.Method(), allowed[None])
+    found, left = left_out.enough_bounces(lit, cameras, jaxir.Method(), lambda: allowed[None])
     assert 8 <= found <= 11 and (left <= allowed).all()
-    assert left_out.enough_bounces(lit, cameras, jaxir.Method(bounces=2), 1.01 * rest[:1])[0] == 2
+    assert left_out.enough_bounces(lit, cameras, jaxir.Method(bounces=2), lambda: 1.01 * rest[:1])[0] == 2
 
 
 def test_a_sweep_keeps_the_way_that_was_chosen(tmp_path):
