@@ -113,7 +113,7 @@ def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, float]:
     def allowed() -> np.ndarray:
         nonlocal intensity
         intensity = np.abs(pilot(first._replace(method=few)).intensity)
-        return LEFT * goal.tolerance.allowed(intensity)[None]
+        return LEFT * np.min([asked.allowed(intensity) for asked in goal.of_intensity], axis=0)[None]
 
     camera = jax.tree.map(lambda leaf: leaf[None], first.camera)
     bounces, left = enough_bounces(lit, camera, few, allowed)

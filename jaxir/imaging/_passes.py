@@ -17,7 +17,7 @@ from jaxir._arrays import is_traced, key_or_default
 from jaxir._programs import of_items
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import adapted, even_image, looked
-from jaxir.imaging._choices import FEW, few_rays, rays_to_see
+from jaxir.imaging._choices import FEW, few_rays, rays_to_see, with_bounces
 from jaxir.imaging._chunks import PARTS, Pass, estimate_chunk, first_pass, scattered_for
 from jaxir.imaging._devices import shared_by
 from jaxir.imaging._image import Image, Outcome, few_tell, joined
@@ -67,7 +67,8 @@ def render(
         samples: rays per pixel; even. By default 8, or with rtol or atol what `jaxir.plan` finds.
         key: random key; a fixed one by default, so results repeat. Where rtol or atol lets ways to find light be tried,
             their times decide, which other work may change: with a method given the numbers are always the same.
-        method: how light is found; by default `Method()`, or with rtol or atol alone as `jaxir.plan` finds cheapest.
+        method: how light is found; by default `Method()`, with rtol or atol alone as `jaxir.plan` finds cheapest, with
+            pixel_rtol `Method()` with as many bounces as leave out half of it in the mean.
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
             the intensity: passes of `samples` if given, else as `jaxir.plan` foretells, which places many rays where
             the error is (see `jaxir.imaging._adaptive`). None takes one pass. `Image.outcome` says whether it was met.
@@ -136,6 +137,9 @@ def render(
         found, look = plan_pass(first._replace(components=None).of(few), goal, method is not None)
         first = scattered_for(first, found.method)
         samples, bounces = found.samples, found.bounces or 0.0
+    elif pixel_rtol is not None and method is None:
+        followed, bounces = with_bounces(first._replace(components=None).of(few), goal)
+        first = first._replace(method=followed.method)
     first = first._replace(parts=parts)
     if pixel_rtol is None and look is None:
         image, met = repeated(first, goal, samples, planned, few, mesh)
@@ -149,7 +153,8 @@ def render(
 def leaves_out(image: Image, goal: Goal, bounces: float) -> bool:
     """Whether what is left out of an intensity exceeds what is asked: of particles, or the share that bounces add."""
     intensity = np.abs(np.asarray(image.radiant_intensity(), np.float64))
-    return any(goal.tolerance.beyond(intensity, share) > 1 for share in (image.truncation, bounces))
+    shares = (image.truncation, bounces)
+    return any(asked.beyond(intensity, share) > 1 for asked in goal.of_intensity for share in shares)
 
 
 def repeated(

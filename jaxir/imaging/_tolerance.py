@@ -68,6 +68,12 @@ class Goal(NamedTuple):
     most: int
     seconds: float
 
+    @property
+    def of_intensity(self) -> tuple[Tolerance, ...]:
+        """What is asked of an intensity, and of the mean over pixels."""
+        mean = () if self.pixel_rtol is None else (Tolerance(self.pixel_rtol, 0.0),)
+        return self.tolerance, *mean
+
     def weight(self, image: Image) -> Float[np.ndarray, "row column band"]:
         """w of each pixel: the errors asked for are met where sum_p w_p v_p <= 1 in every band, v_p the variances."""
         contrast = np.abs(np.asarray(image.radiance, np.float64) - np.asarray(image.empty, np.float64))

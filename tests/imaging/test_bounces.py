@@ -51,6 +51,21 @@ def test_an_image_and_a_table_follow_paths_as_far_as_is_asked(rtol):
     assert abs(float(table.intensity[0, 0]) - true) < 0.5 * rtol * true + 4 * float(table.standard_error[0, 0])
 
 
+def test_pixels_to_an_error_hold_what_bounces_bring():
+    scene = corner(0.3)
+    camera = eye(scene)
+    long = jaxir.render(scene, camera, LWIR, samples=128, method=jaxir.Method(bounces=24))
+    image = jaxir.render(scene, camera, LWIR, pixel_rtol=0.1)
+    assert image.outcome == jaxir.Outcome.tolerance_met and image.asked.method.bounces > 0
+    seen = np.asarray(long.radiance) > 0
+    apart = np.asarray(image.radiance - long.radiance)[seen]
+    noise = np.mean(np.asarray(long.standard_error)[seen] ** 2)
+    mean = float(np.asarray(long.radiance)[seen].mean())
+    assert np.sqrt(np.mean(apart**2) - noise) < 1.3 * 0.1 * mean
+    without = jaxir.render(scene, camera, LWIR, pixel_rtol=0.1, method=jaxir.Method())
+    assert np.sqrt(np.mean(np.asarray(without.radiance - long.radiance)[seen] ** 2)) > 2 * 0.1 * mean
+
+
 def test_a_method_that_is_given_is_kept_and_dark_or_convex_skin_needs_no_bounces():
     scene = corner(0.3)
     image = jaxir.render(scene, eye(scene), LWIR, rtol=0.1, method=jaxir.Method())
