@@ -68,7 +68,7 @@ def render(
         key: random key; a fixed one by default, so results repeat. Where rtol or atol lets ways to find light be tried,
             their times decide, which other work may change: with a method given the numbers are always the same.
         method: how light is found; by default `Method()`, with rtol or atol alone as `jaxir.plan` finds cheapest, with
-            pixel_rtol `Method()` with as many bounces as leave out half of it in the mean.
+            samples beside them or pixel_rtol `Method()` of as many bounces as leave out half of it in the mean.
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
             the intensity: passes of `samples` if given, else as `jaxir.plan` foretells, which places many rays where
             the error is (see `jaxir.imaging._adaptive`). None takes one pass. `Image.outcome` says whether it was met.
@@ -137,7 +137,7 @@ def render(
         found, look = plan_pass(first._replace(components=None).of(few), goal, method is not None)
         first = scattered_for(first, found.method)
         samples, bounces = found.samples, found.bounces or 0.0
-    elif pixel_rtol is not None and method is None:
+    elif method is None:
         followed, bounces = with_bounces(first._replace(components=None).of(few), goal)
         first = first._replace(method=followed.method)
     first = first._replace(parts=parts)

@@ -62,6 +62,8 @@ def test_pixels_to_an_error_hold_what_bounces_bring():
     noise = np.mean(np.asarray(long.standard_error)[seen] ** 2)
     mean = float(np.asarray(long.radiance)[seen].mean())
     assert np.sqrt(np.mean(apart**2) - noise) < 1.3 * 0.1 * mean
+    passes = jaxir.render(scene, camera, LWIR, samples=8, rtol=0.1)
+    assert passes.asked.method.bounces == jaxir.plan(scene, camera, LWIR, 0.1).method.bounces > 0
     without = jaxir.render(scene, camera, LWIR, pixel_rtol=0.1, method=jaxir.Method())
     assert np.sqrt(np.mean(np.asarray(without.radiance - long.radiance)[seen] ** 2)) > 2 * 0.1 * mean
 
