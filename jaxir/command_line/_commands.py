@@ -42,6 +42,7 @@ LEFT_OUT = {
     "bounces": "method.bounces leaves out",
     "outside": "the frame leaves out",
 }
+TOLERANCES = ("rtol", "atol", "pixel_rtol")
 SHARED = ("bands", "signature.views", "signature.components")  # of all states of a table
 
 
@@ -59,7 +60,7 @@ def render_command(arguments: argparse.Namespace) -> None:
             began = time.perf_counter()
             asked = read.render | split_by(arguments)
             image = naming(read, partial(render, scene, camera, read.bands, method=read.method, **asked))
-            missed = " or ".join(f"render.{name}" for name in ("rtol", "atol", "pixel_rtol") if name in asked)
+            missed = " or ".join(f"render.{name}" for name in TOLERANCES if name in asked)
             if bool(image.outcome == Outcome.samples_spent):
                 said = f"{read.file}: {missed} was not met with {int(image.samples)} samples ({_limits(render, asked)})"
                 warnings.warn(said, stacklevel=1)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from jaxir import plot
-from jaxir.command_line._commands import warn_of_errors, warn_of_missed
+from jaxir.command_line._commands import TOLERANCES, warn_of_errors, warn_of_missed
 from jaxir.command_line._formats import REPORT_FORMATS, outputs_of, require_targets, write
 from jaxir.command_line._html import Page
 from jaxir.command_line._quantities import QUANTITIES, naming, read_scene, scene_of
@@ -152,11 +152,15 @@ def assumptions(read: SceneFile) -> list[str]:
     """What the numbers rest on, a sentence each."""
     scene = read.scene
     method = (Method() if read.method is None else read.method).resolved(scene)
+    asked = any(name in part for part in (read.render, read.signature) for name in TOLERANCES)
+    free = ", or as an error that is asked for needs" if read.method is None and asked else ""
     found = ["The scene is a moment; there are no optics, noise or detector of a sensor."]
     if scene.skin is not None:
         found.append("Skin is opaque; its emissivity follows from its reflectance by Kirchhoff's law.")
         left = "is left out" if method.ambient is None else "is Method.ambient"
-        found.append(f"Light is followed over {method.bounces} reflections between skin; what comes after {left}.")
+        found.append(
+            f"Light is followed over {method.bounces} reflections between skin{free}; what comes after {left}."
+        )
     lights = [type(source).__name__ for source in scene.sources]
     found.append(f"Sources: {', '.join(lights)}." if lights else "There is no source of light, hence no Sun.")
     if scene.background is None:
@@ -170,7 +174,7 @@ def assumptions(read: SceneFile) -> list[str]:
         )
     if scene.scatters:
         orders = "all orders, on a lattice" if method.scattering is not None else f"{method.orders} orders"
-        found.append(f"Particles scatter: {orders}.")
+        found.append(f"Particles scatter: {orders}{free}.")
     elif scene.plumes:
         found.append("Plumes absorb and emit; nothing in them scatters.")
     if scene.atmosphere is None:

@@ -113,7 +113,8 @@ def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, float]:
     def allowed() -> np.ndarray:
         nonlocal intensity
         intensity = np.abs(pilot(first._replace(method=few)).intensity)
-        return LEFT * np.min([asked.allowed(intensity) for asked in goal.of_intensity], axis=0)[None]
+        asked = np.min([asked.allowed(intensity) for asked in goal.of_intensity], axis=0)
+        return np.where(intensity > 0, LEFT * asked, np.inf)[None]  # of a dark band nothing is asked
 
     camera = jax.tree.map(lambda leaf: leaf[None], first.camera)
     bounces, left = enough_bounces(lit, camera, few, allowed)

@@ -125,7 +125,8 @@ def enough_bounces(
         if enough.size or less + FURTHER > MOST_BOUNCES:
             place = int(enough[0]) if enough.size else FURTHER - 1
             return less + place, found[:, place]
-        less = min(less + FURTHER + _more(found, most), MOST_BOUNCES + 1 - FURTHER)
+        further = max(FURTHER + _more(found, most), less)  # each look compiles: few of them
+        less = min(less + further, MOST_BOUNCES + 1 - FURTHER)
         found = look()
 
 

@@ -161,8 +161,9 @@ def signature(
         atol: the standard error that is good enough whatever the intensity [W sr-1], for contrasts near 0; with rtol,
             the larger of the two counts.
         max_samples: rays per pixel of a view at which to give up.
-        max_seconds: of all looks together at which to give up, without compiling; one look at each view is taken in any
-            case. Where it does not suffice, the same key does not give the same numbers again.
+        max_seconds: of all looks together at which to give up, without compiling and what is tried before; one look at
+            each view is taken in any case. Where it does not suffice, the same key does not give the same numbers
+            again.
         devices: as `render`; views are shared out.
         components: as `render`, for `Signature.parts`.
 
