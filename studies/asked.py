@@ -3,7 +3,8 @@
 Every scene is imaged to several tolerances (`pixel_rtol`) with many keys and compared with two images of half the
 tolerance and other keys, whose own error is taken off. Rays are those of pilot and image, against those of an image
 with as many in every pixel and the same error. Intensities of five aspects are asked for in the same way
-(`signature(rtol=)`), and compared with four signatures of half the tolerance.
+(`signature(rtol=)`), and compared with four signatures of half the tolerance. Bounces are as many as a tolerance needs,
+so that what they leave out is among the errors, and z tells of it where it is more than samples leave unknown.
 """
 
 import argparse
@@ -47,11 +48,12 @@ def told(image: jaxir.Image) -> float:
     return float(np.sqrt((error**2)[contrast > 0].mean()) / contrast[contrast > 0].mean())
 
 
-def even_rays(scene: jaxir.Scene, eye: jaxir.Camera, error: float) -> float:
+def even_rays(scene: jaxir.Scene, eye: jaxir.Camera, error: float, method: jaxir.Method) -> float:
     """Rays in every pixel that have this error, by its power of the rays between those tried, or of the last two."""
     tried: list[tuple[int, float]] = []
     for samples in EVEN:
-        tried.append((samples, told(jaxir.render(scene, eye, BAND, samples=samples, key=jax.random.key(5)))))
+        image = jaxir.render(scene, eye, BAND, samples=samples, key=jax.random.key(5), method=method)
+        tried.append((samples, told(image)))
         if tried[-1][1] <= error:
             break
     (less, coarse), (more, fine) = (tried[0], *tried)[-2:]
@@ -90,7 +92,7 @@ def compare(name: str, scene: jaxir.Scene, eye: jaxir.Camera, tolerance: float, 
         "told_over_asked": float(np.sqrt(np.mean([told(image) ** 2 for image in images]))) / tolerance,
         "z": (intensity.mean() - known) / spread if spread > 1e-6 * abs(known) else 0.0,
         "rays": rays,
-        "even_rays": even_rays(scene, eye, float(obtained)) if obtained > 1e-6 else 2.0,
+        "even_rays": even_rays(scene, eye, float(obtained), images[0].asked.method) if obtained > 1e-6 else 2.0,
     }
 
 
@@ -123,12 +125,12 @@ def compare_views(name: str, scene: jaxir.Scene, tolerance: float, keys: int) ->
     }
 
 
-def usual(scene: jaxir.Scene, eye: jaxir.Camera, rtol: float, key: int) -> float:
+def usual(scene: jaxir.Scene, eye: jaxir.Camera, rtol: float, key: int, method: jaxir.Method) -> float:
     """Intensity [W sr-1] by the usual rule: two rays a pixel more until the error of their mean, as told, is met."""
     total = square = 0.0
     for number in range(MOST // 2):
         own = jax.random.fold_in(jax.random.key(key), number)
-        image = jaxir.render(scene, eye, BAND, samples=2, key=own, method=jaxir.Method())
+        image = jaxir.render(scene, eye, BAND, samples=2, key=own, method=method)
         total += float(image.radiant_intensity()[0])
         square += float(image.intensity_error()[0]) ** 2
         if square**0.5 <= rtol * abs(total):
@@ -150,7 +152,9 @@ def compare_intensity(name: str, scene: jaxir.Scene, eye: jaxir.Camera, toleranc
     met = all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
     ways = {"intensity": np.array([float(image.radiant_intensity()[0]) for image in images])}
     if tolerance == max(TOLERANCES) * OF_SUM:
-        ways["usual rule"] = np.array([usual(scene, eye, tolerance, key) for key in range(keys)])
+        ways["usual rule"] = np.array(
+            [usual(scene, eye, tolerance, key, images[0].asked.method) for key in range(keys)]
+        )
     for way, found in ways.items():
         square = max(((found - known) ** 2).mean() - unknown**2, 0.0)
         spread = np.hypot(found.std(ddof=1) / keys**0.5, unknown)

@@ -92,7 +92,9 @@ def plan(
     closed form where its conditions hold or sampled, every candidate computes a few chunks of the image; variance as
     it falls with the rays (`ErrorLaw`), and time, as it grows with them, decide. So for light that particles scatter,
     sampled up to few or more orders or solved on a coarse or finer lattice: among those that leave out less than the
-    error asked for, if there are any. Where the rays or seconds allowed suffice by no way it is that of least error.
+    error asked for, if there are any. Where skin may meet the light of skin or plumes, few paths are followed further
+    first, and bounces are the fewest beyond which they bring at most half of what is asked. Where the rays or seconds
+    allowed suffice by no way it is that of least error.
 
     Args:
         scene: the scene.
@@ -101,8 +103,8 @@ def plan(
         rtol: standard error of the radiant intensity of every band over the intensity.
         atol: the standard error that is good enough whatever the intensity [W sr-1]; with rtol, the larger of the two.
         key: random key of the pilots.
-        method: kept if given; else its `direct` and `sampler` are chosen, where the scene has sources with an extent,
-            or else, where it has particles, `orders` or `scattering`.
+        method: kept if given; else its `bounces` are chosen, its `direct` and `sampler`, where the scene has sources
+            with an extent, or else, where it has particles, `orders` or `scattering`.
         max_samples: rays per pixel that must suffice.
         max_seconds: of the image without compiling, that must suffice.
 
