@@ -122,11 +122,17 @@ def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, float]:
     return first._replace(method=dataclasses.replace(first.method, bounces=bounces)), float(share.max())
 
 
-def best_way(first: Pass, goal: Goal, asked: bool) -> tuple[list[Trial], Choice, Look | None]:
+def best_way(first: Pass, goal: Goal, asked: bool, images: int = 1) -> tuple[list[Trial], Choice, Look | None]:
     """What was tried of a pass of few rays per pixel, the best of it, and what tells where rays go, if not everywhere.
 
     Only what is given is tried where the method is `asked` for. Of light that particles scatter, lattices are tried
     where no number of orders is `SOON` done: what the finest errs is sampled where none leaves out as little as asked.
+
+    Args:
+        first: the pass.
+        goal: what is asked.
+        asked: whether the method is not to be chosen.
+        images: how many are like this one, all of which one lattice serves.
     """
     scene = first.lit.scene
     by_particles = scene.scatters and not scene.area_sources and not asked
@@ -138,9 +144,9 @@ def best_way(first: Pass, goal: Goal, asked: bool) -> tuple[list[Trial], Choice,
     chosen = cheapest(trials, goal)
     if not by_particles:
         return trials, *where_it_varies(chosen, goal)
-    if trials[-1].left_out <= 1 and chosen.seconds / chosen.samples * looks(first.samples) < SOON:
+    if trials[-1].left_out <= 1 and chosen.seconds / chosen.samples * looks(first.samples) * images < SOON:
         placed, look = where_it_varies(chosen, goal)
-        if placed.excess <= 1 and placed.seconds < SOON:
+        if placed.excess <= 1 and placed.seconds * images < SOON:
             return trials, placed, look
     trials += _by_lattices(first, goal)
     return trials, *where_it_varies(cheapest(trials, goal), goal)

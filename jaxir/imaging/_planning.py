@@ -176,14 +176,15 @@ def way_for_views(lit: Lit, cameras: Camera, key: Key[Array, ""], goal: Goal) ->
     if not (scene.area_sources or scene.scatters or lights_its_skin(scene)):
         return method
     chosen: Choice | None = None
-    for view in np.unique(np.linspace(0, cameras.frame.shape[0] - 1, VIEWED).round().astype(np.int32)):
+    count = cameras.frame.shape[0]
+    for view in np.unique(np.linspace(0, count - 1, VIEWED).round().astype(np.int32)):
         camera = jax.tree.map(operator.itemgetter(view), cameras)
         first = Pass(lit, camera, key, as_number(0), division(FEW, True), Method().resolved(scene))
         first, _ = with_bounces(first, goal)
         bounces = max(bounces, first.method.bounces)
         if scene.area_sources or scene.scatters:
             if chosen is None or (scene.scatters and not suffices(chosen, first, goal)):
-                chosen = best_way(first, goal, False)[1]
+                chosen = best_way(first, goal, False, count)[1]
                 method = chosen.trial.method
     return dataclasses.replace(method, bounces=bounces)
 
