@@ -73,8 +73,8 @@ def sweep(
         sweep("table", flight, views, bands, over={"mach": [0.6, 0.9], "altitude": [3e3, 9e3], "throttle": [0.7, 1.0]})
 
     Args:
-        folder: made if it does not exist; one NPZ of each view, and `conditions.json`, by which a folder begun under
-            other conditions is recognised.
+        folder: made if it does not exist; one NPZ of each view, `conditions.json`, by which a folder begun under other
+            conditions is recognised, and `method.json`, where a method was chosen.
         scene: as `jaxir.signature`, and so on; with `over` a function that returns it.
         views: more may be added at the end later.
         bands: bands or nodes.
