@@ -142,7 +142,8 @@ def budget(
     quadrature = bounces = None
     if asked is not None and not isinstance(intensity, jax.core.Tracer):
         spectral = asked.spectral(look) if spectral is None else spectral
-        quadrature, bounces = asked.quadrature(look), asked.bounces(look)
+        quadrature = asked.quadrature(look)
+        bounces = asked.bounces(look) if asked.left is None else times(asked.left)
     return ErrorBudget(intensity, sampling, times(spectral), quadrature, left_out, bounces, beyond, bands)
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxir._arrays import require
 from jaxir._programs import program
@@ -99,14 +99,14 @@ def few_rays(wanted: float, most: int) -> int:
     return next((count for count in well_shaped(most) if count >= max(wanted, FEW)), well_shaped(most)[-1])
 
 
-def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, float]:
-    """A pass of as many bounces as leave out at most `LEFT` of what is asked, and the share they leave out.
+def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, Float[np.ndarray, " band"]]:
+    """A pass of as many bounces as leave out at most `LEFT` of what is asked, and the share they leave out [band].
 
-    Of the intensity of the worst band, which a pilot of the pass finds.
+    Of the intensity that a pilot of the pass finds.
     """
     lit = first.lit
     if not lights_its_skin(lit.scene):
-        return first, 0.0
+        return first, np.zeros(lit.nodes.response.shape[0])
     few = dataclasses.replace(first.method, orders=min(FEW_ORDERS, first.method.orders))
     intensity = np.zeros(0)
 
@@ -119,7 +119,7 @@ def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, float]:
     camera = jax.tree.map(lambda leaf: leaf[None], first.camera)
     bounces, left = enough_bounces(lit, camera, few, allowed)
     share = np.divide(left[0], intensity, out=np.where(left[0] > 0, np.inf, 0.0), where=intensity > 0)
-    return first._replace(method=dataclasses.replace(first.method, bounces=bounces)), float(share.max())
+    return first._replace(method=dataclasses.replace(first.method, bounces=bounces)), share
 
 
 def best_way(first: Pass, goal: Goal, asked: bool, images: int = 1) -> tuple[list[Trial], Choice, Look | None]:

@@ -36,12 +36,14 @@ class Asked(eqx.Module):
         nodes: the spectral axis.
         cameras: of an image, or of all views [view].
         method: how light was found.
+        left: share that more bounces would add to an image [band], where it was looked for beforehand, else None.
     """
 
     scene: Scene
     nodes: Nodes
     cameras: Camera
     method: Method
+    left: Float[Array, " band"] | None = None
 
     def spectral(self, look: bool) -> Float[Array, " band"] | None:
         """What the nodes err, as a share of the intensity [band]; None where no look is taken or none can tell."""

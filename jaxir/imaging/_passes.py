@@ -11,9 +11,9 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
-from jaxir._arrays import is_traced, key_or_default
+from jaxir._arrays import as_float, is_traced, key_or_default
 from jaxir._programs import of_items
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import adapted, even_image, looked
@@ -117,28 +117,28 @@ def render(
     )
     mesh = shared_by(devices, first.tiles, "tiles of 16 x 16 pixels")
 
-    def ended(image: Image, met: bool | None, bounces: float = 0.0) -> Image:
+    def ended(image: Image, met: bool | None, left: Float[np.ndarray, " band"] | None = None) -> Image:
         if met is not None:
             outcome = Outcome.tolerance_met if met else Outcome.samples_spent
-            if met and goal is not None and leaves_out(image, goal, bounces):
+            if met and goal is not None and leaves_out(image, goal, left):
                 outcome = Outcome.left_out
             image = eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
-        asked = Asked(scene, first.lit.nodes, camera, first.method)
+        asked = Asked(scene, first.lit.nodes, camera, first.method, None if left is None else as_float(left))
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
     parts = PARTS if devices is None else max(PARTS, devices.size)
-    planned, bounces = samples is None and pixel_rtol is None, 0.0
+    planned, left = samples is None and pixel_rtol is None, None
     samples = 8 if samples is None else samples
     if goal is None:
         return ended(even_image(first._replace(parts=parts), 0, samples, mesh, alone=True), None)
     wanted, look = rays_to_see(first), None
     few = few_rays(wanted, max_samples)
     if planned:
-        found, look = plan_pass(first._replace(components=None).of(few), goal, method is not None)
+        found, look, left = plan_pass(first._replace(components=None).of(few), goal, method is not None)
         first = scattered_for(first, found.method)
-        samples, bounces = found.samples, found.bounces or 0.0
+        samples = found.samples
     elif method is None:
-        followed, bounces = with_bounces(first._replace(components=None).of(few), goal)
+        followed, left = with_bounces(first._replace(components=None).of(few), goal)
         first = first._replace(method=followed.method)
     first = first._replace(parts=parts)
     if pixel_rtol is None and look is None:
@@ -147,13 +147,13 @@ def render(
         if look is None or (look.ends(goal) and first.components is not None):  # of the answer no parts were asked
             look = looked(first, goal, few, first.noisy, mesh)
         image, met = adapted(first, goal, look, mesh)
-    return ended(image, met and wanted <= max_samples, bounces)
+    return ended(image, met and wanted <= max_samples, left)
 
 
-def leaves_out(image: Image, goal: Goal, bounces: float) -> bool:
-    """Whether what is left out of an intensity exceeds what is asked: of particles, or the share that bounces add."""
+def leaves_out(image: Image, goal: Goal, left: Float[np.ndarray, " band"] | None) -> bool:
+    """Whether what is left out of an intensity exceeds what is asked: of particles, or the share left of bounces."""
     intensity = np.abs(np.asarray(image.radiant_intensity(), np.float64))
-    shares = (image.truncation, bounces)
+    shares = (image.truncation, 0.0 if left is None else left)
     return any(asked.beyond(intensity, share) > 1 for asked in goal.of_intensity for share in shares)
 
 

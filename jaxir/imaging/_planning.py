@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default
 from jaxir._programs import program
@@ -134,8 +134,12 @@ def plan(
     return plan_pass(first.of(few), goal, method is not None, call)[0]
 
 
-def plan_pass(first: Pass, goal: Goal, asked: bool, call: float | None = None) -> tuple[Plan, Look | None]:
-    """`plan` for a pass of `few_rays` that was checked, and what tells where its rays go, if not everywhere.
+def plan_pass(
+    first: Pass, goal: Goal, asked: bool, call: float | None = None
+) -> tuple[Plan, Look | None, Float[np.ndarray, " band"] | None]:
+    """`plan` for a pass of `few_rays` that was checked, what tells where its rays go, if not everywhere, and `left`.
+
+    That is the share that bounces leave out [band]; None where the method was asked for.
 
     Args:
         first: the pass.
@@ -145,6 +149,7 @@ def plan_pass(first: Pass, goal: Goal, asked: bool, call: float | None = None) -
     """
     scene, tolerance = first.lit.scene, goal.tolerance
     first, left = (first, None) if asked else with_bounces(first, goal)
+    most = None if left is None else float(left.max())
     trials, chosen, look = best_way(first, goal, asked)
     trial = chosen.trial
     if call is not None:
@@ -154,13 +159,13 @@ def plan_pass(first: Pass, goal: Goal, asked: bool, call: float | None = None) -
         *_along_the_ray(first.lit, first.camera),
         *_by_particles(scene, trials, chosen),
         *_at_the_skin(scene, trials, chosen, asked),
-        *_between_skin(trial.method, left),
+        *_between_skin(trial.method, most),
         *_beyond(scene),
         _pixels(chosen, tolerance, look),
     )
     ready = trial.pilot.compile_seconds + trial.solving
     cost = chosen.samples, chosen.seconds, ready
-    return Plan(terms, trial.method, *cost, tolerance, chosen.expected, trial.truncation, left), look
+    return Plan(terms, trial.method, *cost, tolerance, chosen.expected, trial.truncation, most), look, left
 
 
 def way_for_views(lit: Lit, cameras: Camera, key: Key[Array, ""], goal: Goal) -> Method:

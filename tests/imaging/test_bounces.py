@@ -39,6 +39,8 @@ def test_an_image_and_a_table_follow_paths_as_far_as_is_asked():
     assert image.outcome == jaxir.Outcome.tolerance_met
     bounces = image.asked.method.bounces
     assert bounces == plan.method.bounces and 0 < plan.bounces <= rtol / 2
+    told = image.error_budget(look=False)
+    np.testing.assert_allclose(told.bounces, plan.bounces * told.intensity, rtol=1e-3)  # no look: the plan took one
     assert f"paths go on from skin {bounces} times, and more of them would add about {plan.bounces:.2g}" in str(plan)
     off = abs(float(image.radiant_intensity()[0]) - true)
     assert off < 0.5 * rtol * true + 3 * float(image.intensity_error()[0]) + 3 * noise
