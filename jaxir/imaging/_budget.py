@@ -143,7 +143,8 @@ def budget(
     if asked is not None and not isinstance(intensity, jax.core.Tracer):
         spectral = asked.spectral(look) if spectral is None else spectral
         quadrature = asked.quadrature(look)
-        bounces = asked.bounces(look) if asked.left is None else times(asked.left)
+        known, several = asked.left is not None, intensity.ndim > 1
+        bounces = times(asked.left) if known and not (look and several) else asked.bounces(look)
     return ErrorBudget(intensity, sampling, times(spectral), quadrature, left_out, bounces, beyond, bands)
 
 

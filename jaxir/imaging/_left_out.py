@@ -36,7 +36,8 @@ class Asked(eqx.Module):
         nodes: the spectral axis.
         cameras: of an image, or of all views [view].
         method: how light was found.
-        left: share that more bounces would add to an image [band], where it was looked for beforehand, else None.
+        left: share that more bounces would add to an image, or at most to some of the views [band], where it was looked
+            for beforehand, else None.
     """
 
     scene: Scene

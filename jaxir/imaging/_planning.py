@@ -168,8 +168,12 @@ def plan_pass(
     return Plan(terms, trial.method, *cost, tolerance, chosen.expected, trial.truncation, most), look, left
 
 
-def way_for_views(lit: Lit, cameras: Camera, key: Key[Array, ""], goal: Goal) -> Method:
+def way_for_views(
+    lit: Lit, cameras: Camera, key: Key[Array, ""], goal: Goal
+) -> tuple[Method, Float[np.ndarray, " band"]]:
     """How light is found in all views of a signature: as the most demanding of `VIEWED`, spread evenly, asks for.
+
+    And the largest share of their intensities that bounces leave out [band].
 
     Args:
         lit: the scene on the nodes.
@@ -177,21 +181,21 @@ def way_for_views(lit: Lit, cameras: Camera, key: Key[Array, ""], goal: Goal) ->
         key: random key of the pilots.
         goal: what is asked of each view.
     """
-    scene, method, bounces = lit.scene, Method(), 0
+    scene, method, bounces, left = lit.scene, Method(), 0, np.zeros(lit.nodes.response.shape[0])
     if not (scene.area_sources or scene.scatters or lights_its_skin(scene)):
-        return method
+        return method, left
     chosen: Choice | None = None
     count = cameras.frame.shape[0]
     for view in np.unique(np.linspace(0, count - 1, VIEWED).round().astype(np.int32)):
         camera = jax.tree.map(operator.itemgetter(view), cameras)
         first = Pass(lit, camera, key, as_number(0), division(FEW, True), Method().resolved(scene))
-        first, _ = with_bounces(first, goal)
-        bounces = max(bounces, first.method.bounces)
+        first, own = with_bounces(first, goal)
+        bounces, left = max(bounces, first.method.bounces), np.maximum(left, own)
         if scene.area_sources or scene.scatters:
             if chosen is None or (scene.scatters and not suffices(chosen, first, goal)):
                 chosen = best_way(first, goal, False, count)[1]
                 method = chosen.trial.method
-    return dataclasses.replace(method, bounces=bounces)
+    return dataclasses.replace(method, bounces=bounces), left
 
 
 def _along_the_ray(lit: Lit, camera: Camera) -> list[Term]:

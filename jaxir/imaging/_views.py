@@ -110,6 +110,7 @@ class Views(NamedTuple):
         method: how radiance is found.
         aspect: azimuth and elevation [view, 2] [deg].
         components: by which intensities are split; None for none.
+        left: share that bounces leave out [band], where the method was chosen, else None.
     """
 
     lit: Lit
@@ -119,6 +120,7 @@ class Views(NamedTuple):
     method: Method
     aspect: Array
     components: Components | None = None
+    left: Array | None = None
 
 
 def signature(
@@ -216,7 +218,7 @@ def each_view(
 
 def remembering(table: Signature, scene: Scene, views: Views) -> Signature:
     """The table with what it was asked of, where all of it is known."""
-    asked = Asked(scene, views.lit.nodes, views.cameras, views.method)
+    asked = Asked(scene, views.lit.nodes, views.cameras, views.method, views.left)
     return table if is_traced((table, asked)) else dataclasses.replace(table, asked=asked)
 
 
@@ -245,19 +247,20 @@ def prepare_views(
     """Check what `signature` is asked and make it ready; arguments and errors as there."""
     if until is not None and is_traced((scene, views, distance, key, method)):
         raise ValueError("rtol, atol: got values known only inside jit, expected a call outside it, or neither of them")
-    given = Method() if method is None else method
+    given, left = Method() if method is None else method, None
     aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, given)
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
     if method is None and until is not None:
         enforce(lit, [*cameras.checks(), eye_outside(reach)])
-        given = way_for_views(lit, cameras, key_or_default(key), until.goal(samples))
+        given, found = way_for_views(lit, cameras, key_or_default(key), until.goal(samples))
+        left = as_float(found)
     method = given.resolved(scene)
     lit = with_scattered(lit, method)
     lit = enforce(lit, [*cameras.checks(), eye_outside(reach), *solution_checks(lit)])
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
     key = key_or_default(key)
     strata = division(samples, not is_traced((lit, cameras, key)))
-    return Views(lit, cameras, key, strata, method, aspect, split)
+    return Views(lit, cameras, key, strata, method, aspect, split, left)
 
 
 def check_views(

@@ -49,6 +49,9 @@ def test_an_image_and_a_table_follow_paths_as_far_as_is_asked():
     assert lacks > 0.25 * rtol * true  # what is told is at most 1.35 times that, and two standard errors
     table = jaxir.signature(scene, VIEWS, LWIR, rtol=rtol, **RASTER)
     assert abs(table.asked.method.bounces - bounces) <= 1 and table.meets(rtol).all()
+    each, all_told = (table.error_budget(look=look).bounces for look in (True, False))
+    assert (all_told <= 0.5 * rtol * np.asarray(table.intensity)).all() and all_told.shape == each.shape == (3, 1)
+    assert 0.3 < float(np.max(each / all_told)) < 1.5  # the plan's look foretells more of the series
     assert abs(float(table.intensity[0, 0]) - true) < 0.5 * rtol * true + 4 * float(table.standard_error[0, 0])
 
 
