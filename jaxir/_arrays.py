@@ -13,7 +13,7 @@ import functools
 import hashlib
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -67,6 +67,15 @@ def fingerprint(inputs: Any) -> bytes:
     for value in map(np.asarray, jax.tree.leaves(inputs)):
         digest.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
     return digest.digest()
+
+
+def remembered(answers: dict[Any, T], asked: Any, find: Callable[[], T], most: int) -> T:
+    """What `find` says of what is `asked`, or said before; the last `most` answers are kept."""
+    if asked not in answers:
+        while len(answers) >= most:
+            del answers[next(iter(answers))]
+        answers[asked] = find()
+    return answers[asked]
 
 
 def on_host(*values: Any) -> tuple[Any, ...]:

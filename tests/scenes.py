@@ -12,6 +12,17 @@ def plate(emissivity=0.5, temperature=400.0, x=0.0):
     return jaxir.Skin(mesh, temperature, jaxir.Lambert(emissivity))
 
 
+def corner_mesh():
+    """Three squares, open to (1, 1, 1)."""
+    vertices = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]]
+    return jaxir.Mesh(vertices, [[0, 1, 4], [0, 4, 2], [0, 2, 6], [0, 6, 3], [0, 3, 5], [0, 5, 1]])
+
+
+def warm_corner(emissivity):
+    """Skin of three squares that see one another, one of them warmer."""
+    return jaxir.Skin(corner_mesh(), np.array([500.0, 500, 300, 300, 300, 300]), jaxir.Lambert(emissivity))
+
+
 def box_mesh(size=(1.0, 1.0, 1.0), centre=(0.0, 0.0, 0.0)):
     """A closed box of twelve triangles, outward."""
     unit = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) - 0.5

@@ -114,11 +114,10 @@ def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, Float[np.ndarray, " ban
         nonlocal intensity
         intensity = np.abs(pilot(first._replace(method=few)).intensity)
         asked = np.min([asked.allowed(intensity) for asked in goal.of_intensity], axis=0)
-        return np.where(intensity > 0, LEFT * asked, np.inf)[None]  # of a dark band nothing is asked
+        return np.where(intensity > 0, LEFT * asked, np.inf)  # of a dark band nothing is asked
 
-    camera = jax.tree.map(lambda leaf: leaf[None], first.camera)
-    bounces, left = enough_bounces(lit, camera, few, allowed)
-    share = np.divide(left[0], intensity, out=np.where(left[0] > 0, np.inf, 0.0), where=intensity > 0)
+    bounces, left = enough_bounces(lit, first.camera, few, allowed)
+    share = np.divide(left, intensity, out=np.where(left > 0, np.inf, 0.0), where=intensity > 0)
     return first._replace(method=dataclasses.replace(first.method, bounces=bounces)), share
 
 
@@ -229,6 +228,8 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
     """Ways to find direct light; where one without variance applies, it and the cheapest draw."""
     if scene.skin is None or not scene.area_sources:  # nothing to choose
         return [given]
+    if given.bounces:  # each way takes long to compile, many samples are lost on what is reflected, no form is closed
+        return [given]
 
     def by(direct: DirectSampling | ClosedForm, sampler: AbstractSampler | None = None) -> Method:
         chosen = given.sampler if sampler is None else sampler
@@ -240,8 +241,6 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
         return [closed, by(DirectSampling(1, 0))]
     except ValueError:
         pass
-    if given.bounces:  # each way takes long to compile, and many samples are lost on what is reflected again
-        return [given]
     ways = [
         by(DirectSampling(1, 0)),
         by(DirectSampling(1, 1)),

@@ -79,8 +79,7 @@ class Asked(eqx.Module):
 
     def _views(self) -> Camera:
         """The cameras [view], one for an image."""
-        alone = self.cameras.frame.ndim == 2
-        return jax.tree.map(lambda leaf: leaf[None], self.cameras) if alone else self.cameras
+        return _alone(self.cameras) if self.cameras.frame.ndim == 2 else self.cameras
 
     def _by_view(self, found: Float[Array, "view band"]) -> Float[Array, "*view band"]:
         return found.reshape(*self.cameras.frame.shape[:-2], -1)
@@ -103,42 +102,48 @@ def lights_its_skin(scene: Scene) -> bool:
     return not all(is_convex(vertices, side) for side in sides)
 
 
+def _alone(camera: Camera) -> Camera:
+    """The cameras [view] of one view."""
+    return jax.tree.map(lambda leaf: leaf[None], camera)
+
+
 def enough_bounces(
-    lit: Lit, cameras: Camera, method: Method, allowed: Callable[[], Float[np.ndarray, "view band"]]
-) -> tuple[int, Float[np.ndarray, "view band"]]:
+    lit: Lit, camera: Camera, method: Method, allowed: Callable[[], Float[np.ndarray, " band"]]
+) -> tuple[int, Float[np.ndarray, " band"]]:
     """The fewest bounces, those of a method or more, that leave out at most what is allowed, and what they leave out.
 
     Args:
         lit: with skin.
-        cameras: [view].
+        camera: the eye.
         method: how light is found else.
-        allowed: finds what is allowed of every view [view, band] [W sr-1], on a thread beside the first look.
+        allowed: finds what is allowed [band] [W sr-1], beside the first look, which has a thread of its own.
 
     Returns:
-        Bounces, `MOST_BOUNCES` at most, and what more of them would add [view, band] [W sr-1], see `left_out`.
+        Bounces, `MOST_BOUNCES` at most, and what more of them would add [band] [W sr-1], see `left_out`.
     """
+    cameras = _alone(camera)
 
-    def look() -> Float[np.ndarray, "view bounce band"]:
-        return np.asarray(left_out(lit, cameras, _further(method, less - method.bounces)), np.float64)
+    def look() -> Float[np.ndarray, "bounce band"]:
+        return np.asarray(left_out(lit, cameras, _further(method, less - method.bounces)), np.float64)[0]
 
     less = method.bounces
     found, most = side_by_side(look, allowed)
     while True:
-        enough = np.flatnonzero((found <= most[:, None]).all(axis=(0, 2)))
+        enough = np.flatnonzero((found <= most).all(axis=1))
         if enough.size or less + FURTHER > MOST_BOUNCES:
             place = int(enough[0]) if enough.size else FURTHER - 1
-            return less + place, found[:, place]
+            return less + place, found[place]
         further = max(FURTHER + _more(found, most), less)  # each look compiles: few of them
         less = min(less + further, MOST_BOUNCES + 1 - FURTHER)
         found = look()
 
 
-def _more(found: Float[np.ndarray, "view bounce band"], allowed: Float[np.ndarray, "view band"]) -> int:
+def _more(found: Float[np.ndarray, "bounce band"], allowed: Float[np.ndarray, " band"]) -> int:
     """How many bounces beyond `FURTHER` are of no use, if what is left out goes on to fall as it did."""
-    last, falls = found[:, -1], found[:, -1] < found[:, 0]
+    first, last = found[0], found[-1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        wanted = np.log(last / allowed) / np.log(found[:, 0] / last) * (FURTHER - 1)
-    short = falls & (last > allowed) & np.isfinite(wanted)
+        wanted = np.log(last / allowed) / np.log(first / last) * (FURTHER - 1)
+    short = (last < first) & (last > allowed) & np.isfinite(wanted)
     return int(wanted[short].max()) - 1 if short.any() and wanted[short].max() >= 1 else 0
 
 

@@ -133,12 +133,13 @@ def render(
         return ended(even_image(first._replace(parts=parts), 0, samples, mesh, alone=True), None)
     wanted, look = rays_to_see(first), None
     few = few_rays(wanted, max_samples)
+    tried = first._replace(components=None).of(few)
     if planned:
-        found, look, left = plan_pass(first._replace(components=None).of(few), goal, method is not None)
+        found, look, left = plan_pass(tried, goal, method is not None)
         first = scattered_for(first, found.method)
         samples = found.samples
     elif method is None:
-        followed, left = with_bounces(first._replace(components=None).of(few), goal)
+        followed, left = with_bounces(tried, goal)
         first = first._replace(method=followed.method)
     first = first._replace(parts=parts)
     if pixel_rtol is None and look is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import operator
 import time
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default
+from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default, placed
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import Look, seconds_of
@@ -181,20 +180,20 @@ def way_for_views(
         key: random key of the pilots.
         goal: what is asked of each view.
     """
-    scene, method, bounces, left = lit.scene, Method(), 0, np.zeros(lit.nodes.response.shape[0])
-    if not (scene.area_sources or scene.scatters or lights_its_skin(scene)):
-        return method, left
+    scene, bounces, left = lit.scene, 0, np.zeros(lit.nodes.response.shape[0])
+    several = bool(scene.area_sources) or scene.scatters
+    if not (several or lights_its_skin(scene)):
+        return Method(), left
     chosen: Choice | None = None
     count = cameras.frame.shape[0]
     for view in np.unique(np.linspace(0, count - 1, VIEWED).round().astype(np.int32)):
-        camera = jax.tree.map(operator.itemgetter(view), cameras)
+        camera = jax.tree.map(lambda leaf, view=view: placed(np.asarray(leaf)[view]), cameras)
         first = Pass(lit, camera, key, as_number(0), division(FEW, True), Method().resolved(scene))
         first, own = with_bounces(first, goal)
         bounces, left = max(bounces, first.method.bounces), np.maximum(left, own)
-        if scene.area_sources or scene.scatters:
-            if chosen is None or (scene.scatters and not suffices(chosen, first, goal)):
-                chosen = best_way(first, goal, False, count)[1]
-                method = chosen.trial.method
+        if several and (chosen is None or (scene.scatters and not suffices(chosen, first, goal))):
+            chosen = best_way(first, goal, False, count)[1]
+    method = Method() if chosen is None else chosen.trial.method
     return dataclasses.replace(method, bounces=bounces), left
 
 
@@ -276,10 +275,9 @@ def _between_skin(method: Method, left: float | None) -> list[Term]:
 
 
 def _name(method: Method) -> str:
-    light = "nothing" if method.direct is None else type(method.direct).__name__
     counts = ", ".join(f"{n} of {what}" for n, what in zip(method.counts, ("each light", "the brdf"), strict=True) if n)
     samples = f"({counts}) with {type(method.sampler).__name__} points" if counts else ""
-    return f"{light}{samples}"
+    return f"{type(method.direct).__name__}{samples}"
 
 
 def _efficiency(one: Trial, other: Trial) -> float:

@@ -250,15 +250,14 @@ def prepare_views(
     given, left = Method() if method is None else method, None
     aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, given)
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
+    lit, key = enforce(lit, [*cameras.checks(), eye_outside(reach)]), key_or_default(key)
     if method is None and until is not None:
-        enforce(lit, [*cameras.checks(), eye_outside(reach)])
-        given, found = way_for_views(lit, cameras, key_or_default(key), until.goal(samples))
+        given, found = way_for_views(lit, cameras, key, until.goal(samples))
         left = as_float(found)
     method = given.resolved(scene)
     lit = with_scattered(lit, method)
-    lit = enforce(lit, [*cameras.checks(), eye_outside(reach), *solution_checks(lit)])
+    lit = enforce(lit, solution_checks(lit))
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
-    key = key_or_default(key)
     strata = division(samples, not is_traced((lit, cameras, key)))
     return Views(lit, cameras, key, strata, method, aspect, split, left)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -75,6 +77,19 @@ def read_text(path: str | os.PathLike, encoding: str = "utf-8-sig") -> str:
     except UnicodeDecodeError as error:
         line, wanted = raw.count(b"\n", 0, error.start) + 1, encoding.upper().removesuffix("-SIG")
         raise ValueError(f"{file}:{line}: got the byte {raw[error.start]:#04x}, expected {wanted}") from error
+
+
+def read_json(file: Path, expected: str) -> Any:
+    """What a JSON file holds.
+
+    Raises:
+        ValueError: it is none, with what was `expected`.
+    """
+    try:
+        return json.loads(read_text(file))
+    except (ValueError, RecursionError) as error:
+        said = str(error) if str(error).startswith(f"{file}:") else f"{file}: {error}"
+        raise ValueError(f"{said}, expected {expected}") from error
 
 
 def csv_rows(path: str | os.PathLike) -> list[tuple[int, list[str]]]:

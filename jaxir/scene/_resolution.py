@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float, fingerprint, is_traced, require
+from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
 from jaxir._cache import keep, kept
 from jaxir._programs import program
 from jaxir.geometry import Rays
@@ -32,8 +32,7 @@ from jaxir.scene._scene import Lit, Scene, on_nodes
 from jaxir.scene.light import area_sources, backgrounds, delta_sources
 
 RTOL = 0.02  # of the in-band results of probing rays, against the finest nodes
-FINEST = RESOLUTIONS[-1]  # 12 quantiles, what all are compared with
-MOST = RESOLUTIONS[-2]  # 8 quantiles: what is taken where nothing is within `RTOL`
+*TRIED, FINEST = RESOLUTIONS  # the finest, of 12 quantiles, is what others are compared with
 UNKNOWN = RESOLUTIONS[4]  # where the scene's values are not known yet
 KEPT = 32  # choices
 _ACROSS = 6  # rows and columns of probing rays in each direction
@@ -74,11 +73,7 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
         return resolved_nodes(several, *UNKNOWN)
     require(scene.checks())
     asked = (jax.tree.structure(scene), str(several), fingerprint(scene))
-    if asked not in _chosen:
-        while len(_chosen) >= KEPT:
-            del _chosen[next(iter(_chosen))]
-        _chosen[asked] = _choice(scene, several, asked)
-    return _chosen[asked]
+    return remembered(_chosen, asked, lambda: _choice(scene, several, asked), KEPT)
 
 
 def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:
@@ -137,8 +132,8 @@ def _apart(results: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _candidates(bands: tuple[Band, ...]) -> list[Nodes]:
-    """From few nodes to many: gray ones, those of `RESOLUTIONS` up to `MOST`."""
-    tries = [resolved_nodes(bands, *resolution) for resolution in RESOLUTIONS[: RESOLUTIONS.index(MOST) + 1]]
+    """From few nodes to many: gray ones, those of `TRIED`."""
+    tries = [resolved_nodes(bands, *resolution) for resolution in TRIED]
     return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count)]
 
 

@@ -10,18 +10,14 @@ from jaxir.imaging import _left_out as left_out
 from jaxir.io.result import sweep
 from jaxir.io.result._way import read_way
 from jaxir.scene import scene_nodes
+from tests.scenes import corner_mesh, warm_corner
 
-CORNER = jaxir.Mesh(  # three squares, open to (1, 1, 1)
-    [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]],
-    [[0, 1, 4], [0, 4, 2], [0, 2, 6], [0, 6, 3], [0, 3, 5], [0, 5, 1]],
-)
 VIEWS = [(40.0, 30.0), (10.0, 50.0), (80.0, 10.0)]
 RASTER = {"shape": (16, 16), "samples": 8}
 
 
-def corner(emissivity, sources=()):
-    warm = jaxir.Skin(CORNER, np.array([500.0, 500, 300, 300, 300, 300]), jaxir.Lambert(emissivity))
-    return jaxir.Scene(warm, (), sources)
+def corner(emissivity):
+    return jaxir.Scene(warm_corner(emissivity))
 
 
 def eye(scene):
@@ -81,7 +77,8 @@ def test_a_method_that_is_given_is_kept_and_dark_or_convex_skin_needs_no_bounces
     found = jaxir.plan(dark, eye(dark), LWIR, 0.1)
     assert found.method.bounces == 0 and 0 < found.bounces < 0.05
     assert "paths go on from skin 0 times" in str(found)
-    plate = jaxir.Scene(jaxir.Skin(jaxir.Mesh(CORNER.vertices[:5], CORNER.faces[:2]), 300.0, jaxir.Lambert(0.3)))
+    mesh = corner_mesh()
+    plate = jaxir.Scene(jaxir.Skin(jaxir.Mesh(mesh.vertices[:5], mesh.faces[:2]), 300.0, jaxir.Lambert(0.3)))
     found = jaxir.plan(plate, eye(plate), LWIR, 0.1)
     assert found.method.bounces == 0 and found.bounces == 0 and "Bounces" not in str(found)
 
@@ -97,16 +94,17 @@ def test_where_the_first_bounces_do_not_suffice_the_next_looks_are_foretold():
     """In bands of their own, as `left_out` finds them: the fewest whose rest is allowed."""
     scene = corner(0.05)
     lit = scene.on(scene_nodes(scene, (MWIR, LWIR)))
-    cameras = jax.tree.map(lambda leaf: leaf[None], eye(scene))
+    camera = eye(scene)
+    cameras = jax.tree.map(lambda leaf: leaf[None], camera)
     every = [
         np.asarray(left_out.left_out(lit, cameras, jaxir.Method(bounces=least + left_out.FURTHER)))[0]
         for least in range(0, 20, left_out.FURTHER)
     ]
     rest = np.concatenate(every)  # [bounce, band], of paths of their own for each four
     allowed = rest[9]
-    found, left = left_out.enough_bounces(lit, cameras, jaxir.Method(), lambda: allowed[None])
+    found, left = left_out.enough_bounces(lit, camera, jaxir.Method(), lambda: allowed)
     assert 8 <= found <= 11 and (left <= allowed).all()
-    assert left_out.enough_bounces(lit, cameras, jaxir.Method(bounces=2), lambda: 1.01 * rest[:1])[0] == 2
+    assert left_out.enough_bounces(lit, camera, jaxir.Method(bounces=2), lambda: 1.01 * rest[0])[0] == 2
 
 
 def test_a_sweep_keeps_the_way_that_was_chosen(tmp_path):

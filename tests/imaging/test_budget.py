@@ -11,7 +11,7 @@ import jaxir
 from jaxir import LWIR, MWIR, SWIR
 from jaxir.optics.spectrum import spectral_radiance_wavelength
 from jaxir.scene import scene_nodes
-from tests.scenes import box_mesh, gray_box, plate
+from tests.scenes import box_mesh, gray_box, plate, warm_corner
 
 BANDS = (SWIR, MWIR, LWIR)
 HOT = jaxir.NarrowBandGas(pressure=101325.0, h2o=0.1, co2=0.1)
@@ -148,18 +148,11 @@ def test_a_budget_prints_every_part():
     assert "of the brightest of 2 views" in str(table) and table.total.shape == (2, 2)
 
 
-CORNER = jaxir.Mesh(  # three squares, open to (1, 1, 1)
-    [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]],
-    [[0, 1, 4], [0, 4, 2], [0, 2, 6], [0, 6, 3], [0, 3, 5], [0, 5, 1]],
-)
-
-
 @pytest.mark.parametrize(
     "emissivity, bounces, distance", [(0.9, 0, 3.0), (0.3, 0, np.inf), (0.3, 2, np.inf), (0.3, 2, 3.0)]
 )
 def test_bounces_left_out_are_told(emissivity, bounces, distance):
-    warm = jaxir.Skin(CORNER, np.array([500.0, 500, 300, 300, 300, 300]), jaxir.Lambert(emissivity))
-    scene = jaxir.Scene(warm, (), jaxir.DiscSource((3.0, 2.0, 2.0), (-1.0, 0.0, 0.0), 0.5, 200.0))
+    scene = jaxir.Scene(warm_corner(emissivity), (), jaxir.DiscSource((3.0, 2.0, 2.0), (-1.0, 0.0, 0.0), 0.5, 200.0))
     camera = jaxir.fitted_camera(40.0, 30.0, scene.extent(), (32, 32), distance)
 
     def image(bounces):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxir._arrays import fingerprint
+from jaxir._arrays import fingerprint, remembered
 
 KEPT = 32  # answers
 
@@ -64,12 +64,7 @@ def is_convex(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> boo
         vertices: [vertex, 3] [m].
         faces: [face, 3].
     """
-    asked = fingerprint((vertices, faces))
-    if asked not in _answers:
-        while len(_answers) >= KEPT:
-            del _answers[next(iter(_answers))]
-        _answers[asked] = _bounds_convex(vertices, faces)
-    return _answers[asked]
+    return remembered(_answers, fingerprint((vertices, faces)), lambda: _bounds_convex(vertices, faces), KEPT)
 
 
 _answers: dict[bytes, bool] = {}
@@ -79,10 +74,8 @@ def _bounds_convex(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -
     """`is_convex`, computed."""
     from scipy.spatial import ConvexHull, QhullError
 
-    corner = _merge(vertices)[faces]
-    points = np.empty((corner.max() + 1, 3))
-    points[corner] = vertices.astype(np.float64)[faces]
-    points, corner = points[np.unique(corner)], np.unique(corner, return_inverse=True)[1].reshape(faces.shape)
+    _, place, corner = np.unique(_merge(vertices)[faces], return_index=True, return_inverse=True)
+    points, corner = vertices.astype(np.float64)[faces.ravel()[place]], corner.reshape(faces.shape)
     p = points[corner]
     normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     size = np.linalg.norm(normal, axis=1)

@@ -30,7 +30,7 @@ from jaxir.imaging import (
     whole_table,
 )
 from jaxir.io._array_files import load_arrays
-from jaxir.io._files import labels, read_text, remove_parts, written_whole
+from jaxir.io._files import labels, read_json, remove_parts, written_whole
 from jaxir.io.result._way import WAY, read_way, write_way
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
@@ -140,10 +140,11 @@ def sweep(
     files = _Folder(Path(folder), asked)
     count = asked.aspect.shape[0]
     there = _from_first(lambda: files.finished(conditions), np.zeros(count, bool))
-    if chosen and kept is None and there.any():
-        raise ValueError(f"{files.path}: got views without {WAY}, expected both or none")
-    if chosen and jax.process_index() == 0:
-        write_way(files.path, asked.method)
+    if chosen and kept is None:
+        if there.any():
+            raise ValueError(f"{files.path}: got views without {WAY}, expected both or none")
+        if jax.process_index() == 0:
+            write_way(files.path, asked.method)
     to_do = np.flatnonzero(~there).astype(np.int32)
     for view, values in each_view(asked, to_do, until, "sweep", mesh):
         if jax.process_index() == 0:
@@ -324,11 +325,7 @@ def _make(folder: Path) -> None:
 
 def _begun(file: Path) -> dict[str, str]:
     """The conditions under which a sweep was begun."""
-    try:
-        begun = json.loads(read_text(file))
-    except (ValueError, RecursionError) as error:
-        said = str(error) if str(error).startswith(f"{file}:") else f"{file}: {error}"
-        raise ValueError(f"{said}, expected the conditions of a sweep; use another folder") from error
+    begun = read_json(file, "the conditions of a sweep; use another folder")
     if not isinstance(begun, dict):
         raise ValueError(f"{file}: got a {type(begun).__name__}, expected a table of conditions; use another folder")
     return begun

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxir.geometry import Independent, Lattice, Sobol, Stratified
-from jaxir.io._files import read_text, written_whole
+from jaxir.io._files import read_json, written_whole
 from jaxir.transport import ClosedForm, DirectSampling, DiscreteOrdinates, Method
 
 WAY = "method.json"
@@ -31,9 +31,9 @@ def read_way(folder: Path) -> Method | None:
     file = folder / WAY
     if not file.is_file():
         return None
-    text = read_text(file)
+    table = read_json(file, "a method; use another folder")
     try:
-        method = _part(json.loads(text))
+        method = _part(table)
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{file}: got a damaged file ({error}), expected a method; use another folder") from error
     if not isinstance(method, Method):
