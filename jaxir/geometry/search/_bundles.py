@@ -11,7 +11,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxir._math import dot, matmul, on_platform
 from jaxir.geometry import bits, greater, item, largest, lesser, lowest_bit, octant, row, smallest, varying
-from jaxir.geometry.search._single import DOUBT, NONE, Query, settled, side_by_side
+from jaxir.geometry.search._hits import DOUBT, NONE, Query
+from jaxir.geometry.search._lockstep import side_by_side
+from jaxir.geometry.search._single import settled
 from jaxir.geometry.search._tree import FAR, WIDTH, Tree
 
 TILE = 256  # rays tested together

@@ -16,8 +16,9 @@ from jaxir._math import dot
 from jaxir._plausible import EXTENT
 from jaxir.geometry import Bundle, Hit, Rays, corners_of, reattach, unit_normal
 from jaxir.geometry.search._bundles import View, project, search_bundle
+from jaxir.geometry.search._hits import Query
 from jaxir.geometry.search._outline import front_of, outline
-from jaxir.geometry.search._single import Query, search_single
+from jaxir.geometry.search._single import search_single
 from jaxir.geometry.search._topology import is_closed
 from jaxir.geometry.search._tree import WIDTH, Tree, build, single_leaf
 

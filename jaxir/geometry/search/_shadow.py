@@ -13,8 +13,10 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxir._math import on_platform
 from jaxir.geometry import Rays, corners_of, dot, for_each, in_blocks, unit_normal, varying
 from jaxir.geometry.search._bundles import BEYOND, TILE, Tile, dual, project, search_tile, see
+from jaxir.geometry.search._hits import NONE, Query
+from jaxir.geometry.search._lockstep import side_by_side
 from jaxir.geometry.search._mesh import Mesh, any_hit, off_face
-from jaxir.geometry.search._single import NONE, Query, settled, side_by_side
+from jaxir.geometry.search._single import settled
 
 
 def occluded(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxir.geometry import Rays
-from jaxir.geometry.search import Mesh, any_hit, closest_hit, occluded
+from jaxir.geometry.search import Mesh, _lockstep, any_hit, closest_hit, occluded
 from tests.geometry.search.bodies import BODIES, as_float, every_face, fins, incoherent, picture, soup, sphere, torus
 
 TOLERANCE = {"float32": 2e-5, "float64": 1e-12}
@@ -169,7 +169,9 @@ def test_rays_can_be_sharded():
     assert np.array_equal(tiles, closest_hit(mesh, bundle).face)
 
 
-def test_what_an_accelerator_would_run_finds_the_same(monkeypatch):
+@pytest.mark.parametrize("walks", [False, True])
+def test_what_an_accelerator_would_run_finds_the_same(monkeypatch, walks):
+    """Where it tests every face, and where it walks a tree, here of two levels."""
     vertices, faces = sphere(2)
     mesh, sun = Mesh(vertices, faces), as_float([0.0, 0.6, 0.8])
     rays, bundle = incoherent(np.random.default_rng(5), 313), picture([0.3, -0.8, 0.5], 9.0)
@@ -193,7 +195,8 @@ def test_what_an_accelerator_would_run_finds_the_same(monkeypatch):
         return "gpu"
 
     monkeypatch.setattr(jax, "default_backend", elsewhere)
-    lockstep = found(1)
-    assert len(taken) >= 5
+    monkeypatch.setattr(_lockstep, "FEW", 0 if walks else len(faces))
+    lockstep = found(2 if walks else 1)
+    assert len(taken) >= 5 and len(mesh.tree.children) == 2
     for one, other in zip(native, lockstep, strict=True):
         np.testing.assert_allclose(other, one, rtol=2e-5, atol=2e-5)
