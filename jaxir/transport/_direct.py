@@ -182,7 +182,9 @@ def sample_direct(
     on = go_on & sent[0]
     hit = jax.tree.map(lambda leaf: leaf[0], ahead)
     hit = eqx.tree_at(lambda h: (h.face, h.t), hit, (jnp.where(on, hit.face, -1), jnp.where(on, hit.t, 0)))
-    return tuple(found), Onward(omega[0], jnp.where(on, 1 / jnp.where(on, density[0], 1), 0), hit)
+    # where paths end any unit vector does, but not one drawn about it: lengths would err twice as much every time
+    along = jnp.where(on[:, None], omega[0], at.normal)
+    return tuple(found), Onward(along, jnp.where(on, 1 / jnp.where(on, density[0], 1), 0), hit)
 
 
 def _samples(

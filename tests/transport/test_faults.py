@@ -53,6 +53,25 @@ def test_paths_keep_their_bounces():
     assert paths.method.bounces == bounces
 
 
+def test_paths_that_have_ended_stay_finite():
+    """Those that meet nothing were reflected on, each time about themselves: after 24 times lengths were infinite."""
+    skin = jaxir.Skin(jaxir.Mesh(SQUARE, TWO), 300.0, jaxir.RoughConductor(2.0, 9.0, 0.1))
+    rays = rays_down(4, 0.5)
+    beside = jaxir.Rays(rays.origin.at[:, 0].add(3.0), rays.direction)
+    both = jax.tree.map(lambda *each: jnp.concatenate(each), rays, beside)
+
+    @eqx.filter_jit
+    def look(scene):
+        paths = jaxir.trace(scene, both, jaxir.Method(bounces=60), jax.random.key(0))
+        value, pull = jax.vjp(lambda scene: jaxir.evaluate(scene.on(NODES), paths)[:, 0], scene)
+        return paths.segments, value, pull(jnp.ones_like(value))[0].skin.brdf
+
+    segments, value, slope = look(jaxir.Scene(skin))
+    np.testing.assert_allclose(np.linalg.norm(segments.rays.direction, axis=-1), 1, atol=1e-5)
+    assert np.isfinite(segments.inverse_pdf).all() and np.isfinite(jax.tree.leaves(slope)).all()
+    assert (np.asarray(value)[:16] > 0).all() and (np.asarray(value)[16:] == 0).all()
+
+
 @pytest.mark.parametrize("given", [False, True])
 def test_a_background_that_is_also_a_source_lights_once_for_each(given):
     """One object named twice is two lights, where a program holds the very object as where it is given a scene."""
