@@ -15,12 +15,14 @@ from __future__ import annotations
 import dataclasses
 import enum
 import functools
+import gc
 import operator
 import os
 import pickle
 import re
 import sys
 import threading
+import weakref
 import zlib
 from collections.abc import Callable
 from importlib.metadata import version
@@ -32,6 +34,7 @@ import numpy as np
 from jax.experimental import serialize_executable
 
 from jaxir._cache import compiled_anew, keep, keeps, kept
+from jaxir._room import crowded, program_made
 
 F = TypeVar("F", bound=Callable[..., Any])
 _VERSIONED = ("jax", "jaxlib", "equinox", "numpy", "lineax", "optimistix")  # what traces, beside the package's own code
@@ -76,8 +79,11 @@ class _Program:
         self._jitted: Any = eqx.filter_jit(function)
         self._held: dict[Any, _Ready | None] = {}  # None where it has to be `_jitted`
         self._making: dict[Any, threading.Lock] = {}  # threads that ask for one executable wait for it
+        _EVERY.add(self)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        if crowded():
+            drop_all()
         return self._run(*self._found(args, kwargs), args, kwargs)
 
     def _run(self, ready: _Ready | None, arrays: list[Any], signature: Any, args: tuple, kwargs: dict) -> Any:
@@ -103,11 +109,12 @@ class _Program:
             return None, [], None
         signature = structure, tuple(map(_kind, leaves)), _settings()
         arrays = [_bare(leaf) for leaf in leaves if eqx.is_array(leaf)]
-        if signature not in self._held:
+        held = self._held  # another thread may drop it
+        if signature not in held:
             with self._making.setdefault(signature, threading.Lock()):
-                if signature not in self._held:
-                    self._held[signature] = _ready(self._function, structure, leaves, arrays, signature)
-        return self._held[signature], arrays, signature
+                if signature not in held:
+                    held[signature] = _ready(self._function, structure, leaves, arrays, signature)
+        return held[signature], arrays, signature
 
     def of_items(self, inputs: Any) -> Callable[[Any], Any]:
         """See `of_items`."""
@@ -120,11 +127,22 @@ class _Program:
                 return self._jitted(inputs, item) if ready is None else ready([*arrays, *own])
             ready, arrays, signature = self._found((inputs, item), {})
             result = self._run(ready, arrays, signature, (inputs, item), {})
-            still = self._held.get(signature)  # what was kept may have lacked something
+            still = self._held.get(signature, ready)  # what was kept may have lacked something
             known.append((still, arrays[: len(arrays) - len(own)]))
             return result
 
         return of
+
+
+_EVERY: weakref.WeakSet[_Program] = weakref.WeakSet()
+
+
+def drop_all() -> None:
+    """Drop every executable that is held here or by JAX: what is asked for again is read or compiled anew."""
+    for each in list(_EVERY):
+        each._held = {}
+    jax.clear_caches()
+    gc.collect()
 
 
 def program(function: F) -> F:
@@ -196,6 +214,7 @@ def _loaded(held: bytes, count: int, device: Any) -> _Ready | None:
         taken = jax.tree.structure(((0,) * count, {}))
         given = jax.tree.structure([0] * made)
         loaded = serialize_executable.deserialize_and_load(payload, taken, given, execution_devices=[device])
+        program_made()
         return _Ready(loaded, result, loaded=True)
     except Exception:  # of another kind than this process expects: it is compiled anew
         return None

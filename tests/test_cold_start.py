@@ -249,6 +249,27 @@ print(own(2 * jnp.eye(2), jnp.ones(2))[0].tolist(), jax.random.uniform(own(jnp.e
     assert first[0].startswith("[0.5, 0.5]") and first[0].endswith(" 1") and second[0] == first[0][:-1] + "0"
 
 
+def test_programs_are_dropped_before_the_system_ends_the_process(tmp_path):
+    """Where nearly all the mappings of memory that it grants are held; what is asked for again is read."""
+    (tmp_path / "granted").write_text("1")
+    code = f"""
+import pathlib
+from jaxir import _room
+from jaxir.imaging._image import truncated_share
+asked = lambda n: truncated_share(jnp.full((2, n), 0.1), jnp.full(n, 2.0))
+held = lambda: sum(1 for line in open("/proc/self/maps") if "r-xp" in line)
+mine = truncated_share._held
+first = [asked(n) for n in range(1, 20)]  # far from it: all are held
+before = held(), len(truncated_share._held), truncated_share._held is mine
+_room._GRANTED, _room.OFTEN = pathlib.Path({str(tmp_path / "granted")!r}), 0
+again = asked(1)
+print(before[1:], truncated_share._held is mine, len(truncated_share._held), held() < before[0] - 10)
+print(bool((again == first[0]).all()), len(kept))
+"""
+    said = run(OTHERS + code, JAXIR_CACHE=str(tmp_path / "p"))
+    assert said == ["(19, True) False 1 True", "True 19"]
+
+
 class OtherGas(jaxir.NarrowBandGas):
     """A gas of a user's, who may change its code."""
 
