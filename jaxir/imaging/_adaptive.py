@@ -46,7 +46,7 @@ from jaxir.imaging._placement import Law, law_of
 from jaxir.imaging._tolerance import FIRST, Goal, excess
 
 PILOT = 4  # passes of the pilot, of two rays per pixel each or more
-ROUNDS = 4  # at most; each decides for the next
+ROUNDS = 5  # at most; each decides for the next
 MANY = 4  # times the rays that the pilot took where it saw the scene, beyond which a scout goes first
 CLOSER = 0.88  # of the error asked for, once a scout or a round that missed it told more: pixels differ
 SCOUT = 3.0  # times the error asked for, of that image: by a quarter of the rays
@@ -190,19 +190,23 @@ def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tu
     """
     if look.ends(goal):
         return look.image, look.met
-    left, before = goal.seconds - look.seconds, np.zeros(())
+    left, before, aim = goal.seconds - look.seconds, np.zeros(()), 1.0
     for number in range(PILOT, PILOT + ROUNDS):
-        began, count = time.perf_counter(), look.strata(goal.most, left, 1.0 if number == PILOT else CLOSER)
+        began, count = time.perf_counter(), look.strata(goal.most, left, aim)
         if np.array_equal(count, before):  # no more are allowed
             break
-        if number == PILOT and look.asks_scout(count, left):
+        scouts = number == PILOT and look.asks_scout(count, left)
+        if scouts:
             count = look.strata(goal.most, left, SCOUT)
         before = count
         added = 2 * float((count - 1).sum())
         image = _image_with_strata(first, number, strata_of(count, first.camera), mesh)
         shares = goal.shares(image)
-        if excess(shares) <= 1:
+        missed = excess(shares)
+        if missed <= 1:
             return image, True
+        # what is rare is seen in other pixels every time: where a law was wrong once, it is aimed lower by as much
+        aim = min(aim, CLOSER) if scouts else min(aim, CLOSER) / missed
         spent = min(time.perf_counter() - began, look.base + added * look.each)  # the first compiles
         left -= spent
         if left < spent:  # no time for as many again
