@@ -265,7 +265,7 @@ def lacking(lit, rays):
 @eqx.filter_jit
 def to_an_eye(medium, aimed_one, rays):
     """Radiance of rays by what was found once for an eye, with whether that serves; and without."""
-    far, dark = jnp.full(rays.count, jnp.inf), jnp.zeros((rays.count, 1))
+    far, dark = jnp.full(rays.count, jnp.inf), jnp.zeros((rays.count, 2))
     serves = aimed_one.parts[0].aimed.serves(rays, jnp.ones(rays.count, bool))
     return aimed_one.radiance(rays, far, dark), serves, medium.radiance(rays, far, dark)
 
@@ -274,7 +274,7 @@ def to_an_eye(medium, aimed_one, rays):
 def test_what_is_found_for_an_eye_is_what_its_rays_see(made, method):
     """Other rays, and those whose directions turn by much between the lattice's points, are looked along one by one."""
     scene, others = made()
-    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), method)
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR, jaxir.LWIR))), method)
     for distance, meets in ((np.inf, True), (5e3, True), (20.0, False), (None, False)):
         camera = jaxir.fitted_camera(70.0, 20.0, scene.extent(), (8, 8), distance or np.inf)
         screen = camera.half_size()[None] * as_float(np.random.default_rng(0).uniform(-1, 1, (2000, 2)))

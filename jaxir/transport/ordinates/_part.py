@@ -226,13 +226,13 @@ class Part(eqx.Module):
             each = [lobes[:, i, None] * moments[:, i] for i in range(moments.shape[1])]
             return sum(each[1:], each[0])
 
-        def turned(own: tuple[Array, Array]) -> Array:
-            return jnp.concatenate(self._turned(*own), axis=1)
+        def turned(own: tuple[Array, Array]) -> tuple[Array, Array]:
+            return self._turned(*own)
 
         def turned_of(beam: Beam, omega: Array) -> tuple[Array, Array]:
             # in a loop, so that what is used twice is not kept number by number of the tables
             own, every = (dot(omega, -toward), beam.forward), jnp.ones(len(point), bool)
-            lobe, change = jnp.split(for_active(turned, every, own, 2 * self.kept.shape[0]), 2, axis=1)
+            lobe, change = for_active(turned, every, own, 2 * self.kept.shape[0])
             return beam.seen * (lobe + change), beam.seen * change
 
         omegas = [beam.toward(point) for beam in self.beams]
