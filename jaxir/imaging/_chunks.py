@@ -39,7 +39,7 @@ from jaxir.transport import (
 TILES = 64  # of a chunk at most
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in a processor's cache
 BLOCKS = 3  # in which the tiles of a chunk are traced at least on a CPU, so that those that see nothing are left out
-PARTS = 8  # chunks of a small image, for so many devices to share
+PARTS = 8  # chunks of a small image on a CPU, for so many devices to share
 QUICK = 2**20  # work of an image that one program takes whole: a call for each chunk takes .5 ms each
 FEWER = 4  # times fewer tiles at once where paths may be long
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
@@ -75,6 +75,15 @@ def division(samples: int, known: bool) -> Division:
     return Division(placed(np.array(cells, np.int32)) if known else cells, together)
 
 
+def parts_for(devices: int = 1) -> int:
+    """Chunks into which a small image is cut all the same, for so many devices to share.
+
+    On cards as many as JAX has of these: one takes hardly longer for eight chunks than for one, since rays in lockstep
+    take as many steps as the slowest.
+    """
+    return max(PARTS if on_cpu() else jax.device_count(), devices)
+
+
 class Pass(NamedTuple):
     """One pass over the pixels of an image.
 
@@ -85,7 +94,7 @@ class Pass(NamedTuple):
         number: of the pass, which decides its random numbers with `key`.
         strata: in a pixel.
         method: how radiance is found.
-        parts: chunks into which a small image is cut all the same.
+        parts: of `parts_for`.
         components: by which radiance is split; None for none.
     """
 
@@ -95,7 +104,7 @@ class Pass(NamedTuple):
     number: Array
     strata: Division
     method: Method
-    parts: int = PARTS
+    parts: int
     components: Components | None = None
 
     @property
@@ -193,7 +202,7 @@ def first_pass(
     lit, reach = _prepared(scene, nodes, camera)
     lit = enforce(lit, [eye_outside(reach)])
     strata = division(samples, not is_traced((lit, camera, key)))
-    taken = scattered_for(Pass(lit, camera, key, as_number(0), strata, method), method)
+    taken = scattered_for(Pass(lit, camera, key, as_number(0), strata, method, parts_for()), method)
     return taken._replace(components=with_own_media(scene, nodes, method, components_of(scene, method, components)))
 
 

@@ -18,7 +18,7 @@ from jaxir._programs import of_items
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import adapted, even_image, looked
 from jaxir.imaging._choices import FEW, few_rays, rays_to_see, with_bounces
-from jaxir.imaging._chunks import PARTS, Pass, estimate_chunk, first_pass, scattered_for
+from jaxir.imaging._chunks import Pass, estimate_chunk, first_pass, parts_for, scattered_for
 from jaxir.imaging._devices import shared_by
 from jaxir.imaging._image import Image, Outcome, few_tell, joined
 from jaxir.imaging._left_out import Asked
@@ -85,7 +85,7 @@ def render(
             same numbers again.
         devices: a mesh with the one axis `devices`, all of which share the image, in one process or, after
             `jax.distributed.initialize`, in many; every process gets the whole image. The numbers are those of one
-            device; for more than `PARTS` = 8 devices and fewer than 8 full chunks they are drawn anew.
+            device; for more than 8 CPUs and fewer than 8 full chunks they are drawn anew.
         components: "sources" splits the radiance by where its light comes from (`Image.parts`): the skin's emission,
             what it and particles send on of each source and of the surroundings, each plume, the background, the air.
             "parts" splits the skin's emission by its parts, too. On the same paths, each for about an evaluation.
@@ -126,7 +126,7 @@ def render(
         asked = Asked(scene, first.lit.nodes, camera, first.method, None if left is None else as_float(left))
         return image if is_traced((image, asked)) else dataclasses.replace(image, asked=asked)
 
-    parts = PARTS if devices is None else max(PARTS, devices.size)
+    parts = parts_for(1 if devices is None else devices.size)
     planned, left = samples is None and pixel_rtol is None, None
     samples = 8 if samples is None else samples
     if goal is None:

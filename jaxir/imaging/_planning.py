@@ -17,7 +17,7 @@ from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import Look, seconds_of
 from jaxir.imaging._choices import FEW, Choice, Trial, best_way, few_rays, rays_to_see, suffices, with_bounces
-from jaxir.imaging._chunks import Pass, as_number, division, first_pass
+from jaxir.imaging._chunks import Pass, as_number, division, first_pass, parts_for
 from jaxir.imaging._left_out import lights_its_skin
 from jaxir.imaging._tolerance import Goal, Tolerance, goal_of
 from jaxir.optics.spectrum import Band, Nodes
@@ -188,7 +188,7 @@ def way_for_views(
     count = cameras.frame.shape[0]
     for view in np.unique(np.linspace(0, count - 1, VIEWED).round().astype(np.int32)):
         camera = jax.tree.map(lambda leaf, view=view: placed(np.asarray(leaf)[view]), cameras)
-        first = Pass(lit, camera, key, as_number(0), division(FEW, True), Method().resolved(scene))
+        first = Pass(lit, camera, key, as_number(0), division(FEW, True), Method().resolved(scene), parts_for())
         first, own = with_bounces(first, goal)
         bounces, left = max(bounces, first.method.bounces), np.maximum(left, own)
         if several and (chosen is None or (scene.scatters and not suffices(chosen, first, goal))):

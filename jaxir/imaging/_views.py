@@ -18,7 +18,16 @@ from jaxir._arrays import as_float, enforce, is_traced, key_or_default, placed
 from jaxir._programs import program
 from jaxir.geometry import Camera, fitted_camera, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
-from jaxir.imaging._chunks import Division, Pass, division, estimate_chunk, eye_outside, reach_to_eye, whole_image
+from jaxir.imaging._chunks import (
+    Division,
+    Pass,
+    division,
+    estimate_chunk,
+    eye_outside,
+    parts_for,
+    reach_to_eye,
+    whole_image,
+)
 from jaxir.imaging._devices import over_items, shared_by
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._planning import way_for_views
@@ -328,7 +337,7 @@ def view_intensity(views: Views, item: Int[Array, ""]) -> tuple[Array, ...]:
     number, index = jnp.divmod(item, jnp.asarray(views.aspect.shape[0], item.dtype))
     camera = jax.tree.map(lambda leaf: leaf[index], views.cameras)
     key = jax.random.fold_in(views.key, index)
-    own = key, number.astype(jnp.uint32), views.strata, views.method
+    own = key, number.astype(jnp.uint32), views.strata, views.method, parts_for()
     taken = Pass(aimed(views.lit, camera), camera, *own, components=views.components)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
     parts = () if views.components is None else (image.component_intensity(), image.component_error())
