@@ -38,7 +38,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, Int
 
 from jaxir._arrays import as_float
 from jaxir._math import matmul, sum_before
@@ -87,7 +87,8 @@ class Groups(NamedTuple):
         unscattered: L0 [group, point, harmonic, node].
         straight: B, of each part that sources without extent light [group, read, harmonic, node].
         rest: moments of the harmonics that are kept, of each part [group, harmonic, node].
-        passed: what `_ahead` says of each part [group, direction, point, step, node].
+        passed: what `_ahead` says of each part [direction, group, point, step, node]: as it was found, because it is
+            by far the largest table and another order would be another of that size.
         unseen: what the rule lacks of the share of the surroundings that is hidden [group, point, harmonic, node].
         albedo: share of that which each part scatters [group, point, node].
     """
@@ -98,6 +99,11 @@ class Groups(NamedTuple):
     passed: list[Array]
     unseen: Array
     albedo: list[Array]
+
+    def of(self, group: Int[Array, ""]) -> Groups:
+        """One of them, without its axis."""
+        passed = [each[:, group] for each in self.passed]
+        return jax.tree.map(lambda leaf: leaf[group], self._replace(passed=[]))._replace(passed=passed)
 
 
 class Posed(NamedTuple):
@@ -186,7 +192,7 @@ def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths], Array]) -> Po
     unscattered = unscattered + entering(lit, method, point, order, level, behind)
     some = hidden[:, 0] > 0
     albedo = [jnp.where(some, each / jnp.where(some, hidden[:, 0], 1), 0) for each in scattered]
-    where, passed = [route[0] for route in routes], [jnp.moveaxis(route[1], 1, 0) for route in routes]
+    where, passed = ([route[k] for route in routes] for k in range(2))
     beams = [
         tuple(_beam(lit, medium, given, part, lattice, source) for source in lit.scene.delta_sources)
         for part, lattice in zip(parts, lattices, strict=True)

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -47,7 +46,7 @@ class Solution(NamedTuple):
 
 def solution(given: Posed, ordinates: DiscreteOrdinates, group: Int[Array, ""]) -> Solution:
     """The solution of one of the groups of equations."""
-    own = jax.tree.map(lambda leaf: leaf[group], given.groups)
+    own = given.groups.of(group)
     lattices, (_, lobes, by_direction) = lattices_of(given.medium, ordinates), rule(ordinates.order, given.medium)
 
     def transported(light: list[Array], rest: list[Array], readers: Sequence[Callable]) -> Array:
