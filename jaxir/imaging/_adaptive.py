@@ -205,8 +205,9 @@ def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tu
         missed = excess(shares)
         if missed <= 1:
             return image, True
-        # what is rare is seen in other pixels every time: where a law was wrong once, it is aimed lower by as much
-        aim = min(aim, CLOSER) if scouts else min(aim, CLOSER) / missed
+        aim = min(aim, CLOSER)
+        if not scouts:  # what is rare is seen in other pixels every time: a law that erred is aimed lower by as much
+            aim /= missed
         spent = min(time.perf_counter() - began, look.base + added * look.each)  # the first compiles
         left -= spent
         if left < spent:  # no time for as many again

@@ -13,7 +13,7 @@ from jaxir.geometry.search._tree import Tree
 
 NONE = -2  # no face
 DOUBT = -1  # rounding leaves open whether a face is met that would come first
-FAR = 3e38  # no distance [m]
+NEVER = 3e38  # the distance of what is not met [m]
 _ROUNDING = 11.0  # bound of the rounding of an edge's moment, in units of the last place, see `verdict`
 
 
@@ -51,7 +51,7 @@ def approach(tree: Tree, ray: Query, dtype: Any) -> Query:
     along = -jnp.sum(origin * direction)
     skipped = jnp.where(along > 3 * radius, along - 2 * radius, 0)
     origin = origin + skipped * direction
-    near, far = (jnp.clip(t.astype(double) - skipped, -FAR, FAR).astype(dtype) for t in (ray.near, ray.far))
+    near, far = (jnp.clip(t.astype(double) - skipped, -NEVER, NEVER).astype(dtype) for t in (ray.near, ray.far))
     turned = direction.astype(dtype)
     return ray._replace(origin=origin.astype(dtype), direction=turned, near=near, far=far, side=ray.side.astype(dtype))
 
@@ -166,4 +166,4 @@ def verdict(
     # a hit at or before `near` is none: weighted / volume > near, without a division
     met = met & other & (weighted * jnp.sign(volume) > ray.near * jnp.abs(volume))
     # a division comes last, or XLA computes all this anew for every use of t
-    return jnp.where(met, weighted, FAR) / jnp.where(met, volume, 1), unsure
+    return jnp.where(met, weighted, NEVER) / jnp.where(met, volume, 1), unsure

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxir.geometry import dot, in_blocks, lowest_bit, octant
 from jaxir.geometry.search._hits import (
-    FAR,
+    NEVER,
     NONE,
     Edges,
     Query,
@@ -46,8 +46,7 @@ def side_by_side(tree: Tree, rays: Any, ask: Callable[[Any], Query]) -> Int[Arra
             return try_all(tree, ray, settle=False) if links is None else _walk(tree, links, ray)
 
     count = jax.tree.leaves(rays)[0].shape[0]
-    tests = 2 * WIDTH if many else tree.face.size
-    size = min(max(TESTS // tests, 1), max(count, 1))
+    size = min(TESTS // (2 * WIDTH) if many else most_at_once(tree), max(count, 1))
     blocks = jax.tree.map(lambda x: in_blocks(x, size), rays)
     return lax.map(jax.vmap(one), blocks).reshape(-1)[:count]
 
@@ -89,7 +88,7 @@ def _nearest(
         first = (one[0] < other[0]) | (one[0] == other[0]) & (one[1] <= other[1])
         return *(jnp.where(first, a, b) for a, b in zip(one[:2], other[:2], strict=True)), one[2] | other[2]
 
-    none = jnp.asarray(FAR, t.dtype), jnp.int32(-1), jnp.asarray(False)
+    none = jnp.asarray(NEVER, t.dtype), jnp.int32(-1), jnp.asarray(False)
     return lax.reduce((t, faces, unsure), none, nearer, tuple(range(t.ndim)))
 
 
