@@ -33,6 +33,7 @@ import jax
 import numpy as np
 from jax.experimental import serialize_executable
 
+from jaxir._arrays import placed
 from jaxir._cache import compiled_anew, keep, keeps, kept
 from jaxir._room import crowded, program_made
 
@@ -121,10 +122,13 @@ class _Program:
         known: list[tuple[_Ready | None, list[Any]]] = []  # the executable and the arrays of `inputs`, once found
 
         def of(item: Any) -> Any:
+            if known and known[0][0] is not None:  # which places arrays faster than others do
+                ready, arrays = known[0]
+                return ready([*arrays, *jax.tree.leaves(item)])
+            item = jax.tree.map(placed, item)
             own = jax.tree.leaves(item)
             if known:
-                ready, arrays = known[0]
-                return self._jitted(inputs, item) if ready is None else ready([*arrays, *own])
+                return self._jitted(inputs, item)
             ready, arrays, signature = self._found((inputs, item), {})
             result = self._run(ready, arrays, signature, (inputs, item), {})
             still = self._held.get(signature, ready)  # what was kept may have lacked something
@@ -151,8 +155,10 @@ def program(function: F) -> F:
 
 
 def of_items(function: Callable[[Any, Any], Any], inputs: Any) -> Callable[[Any], Any]:
-    """`function(inputs, item)` of many items, of arrays alike on the device: a program looks at its inputs once."""
-    return function.of_items(inputs) if isinstance(function, _Program) else functools.partial(function, inputs)
+    """`function(inputs, item)` of many items, of arrays of numpy alike: a program looks at its inputs once."""
+    if isinstance(function, _Program):
+        return function.of_items(inputs)
+    return lambda item: function(inputs, jax.tree.map(placed, item))
 
 
 def _ready(

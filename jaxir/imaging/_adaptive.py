@@ -42,8 +42,8 @@ from jaxir.imaging._devices import over_items, progress
 from jaxir.imaging._estimate import Estimate, Seen, Varied, of_strata
 from jaxir.imaging._image import Image, joined
 from jaxir.imaging._pilot import well_shaped
-from jaxir.imaging._placement import Law, law_of
-from jaxir.imaging._tolerance import FIRST, Goal, excess
+from jaxir.imaging._placement import Law, Window, law_of, window_of
+from jaxir.imaging._tolerance import FIRST, Goal, excess, shares_of
 
 PILOT = 4  # passes of the pilot, of two rays per pixel each or more
 ROUNDS = 5  # at most; each decides for the next
@@ -59,12 +59,14 @@ class Strata:
 
     Attributes:
         row, column: of each pixel [pixel].
+        name: number of each in the image [pixel].
         count: strata of each [pixel].
         columns: of its strata [pixel].
     """
 
     row: Int[np.ndarray, " pixel"]
     column: Int[np.ndarray, " pixel"]
+    name: Int[np.ndarray, " pixel"]
     count: Int[np.ndarray, " pixel"]
     columns: Int[np.ndarray, " pixel"]
 
@@ -73,20 +75,19 @@ class Strata:
         """Where each pixel's strata end among those of all [pixel]."""
         return np.cumsum(self.count)
 
-    def chunks(self, taken: Pass) -> int:
-        """Chunks of a pass in which all of them are seen."""
-        return -(-int(self.count.sum()) // taken.spots)
+    def chunks(self, size: int) -> int:
+        """Chunks of so many in which all of them are seen."""
+        return -(-int(self.count.sum()) // size)
 
-    def chunk(self, taken: Pass, number: int) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, "spot 4"]]:
+    def chunk(self, size: int, number: int) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, "spot 4"]]:
         """Pixels of a chunk [pixel], where each begins [pixel], and what `_seen_at` asks for; the last fills up."""
-        size, end = taken.spots, self.end
+        end = self.end
         begin, last = number * size, min((number + 1) * size, int(end[-1]))
         pixel = np.arange(*np.searchsorted(end, (begin, last - 1), side="right") + (0, 1))
         count, columns = self.count[pixel], self.columns[pixel]
         first = end[pixel] - count
         place = np.maximum(first - begin, 0)
-        name = self.row[pixel] * taken.camera.shape[1] + self.column[pixel]
-        each = np.stack([name, first, columns, count // columns], axis=1)
+        each = np.stack([self.name[pixel], first, columns, count // columns], axis=1)
         spots = np.repeat(each, np.diff(place, append=size), axis=0).astype(np.int32)
         spots[:, 1] = np.minimum(np.arange(begin, begin + size), last - 1) - spots[:, 1]
         return pixel, place, spots
@@ -171,10 +172,12 @@ def looked(first: Pass, goal: Goal, few: int, noisy: bool, mesh: Mesh | None = N
         passes.append(even_image(first, number, few, mesh=mesh))
         times.append(time.perf_counter() - began)
     image = reduce(joined, passes)
-    met = excess(goal.shares(image)) <= FIRST
-    varied, mean = _of_a_pass(passes), np.asarray(image.radiance, np.float64)
-    law = law_of(mean, varied, goal.weight(image), few, PILOT, noisy)
-    shown = max(1, int((mean != np.asarray(image.empty, np.float64)).any(axis=-1).sum()))
+    weight, mean, error = goal.weight(image), np.asarray(image.radiance), np.asarray(image.standard_error)
+    met = excess(shares_of(weight, error)) <= FIRST
+    window = window_of(mean, error)
+    near = mean[window].astype(np.float64), _of_a_pass(passes, window), weight[window]
+    law = law_of(*near, few, PILOT, noisy).spread(first.camera.shape, window)
+    shown = max(1, int((mean != np.asarray(image.empty)).any(axis=-1).sum()))
     spent = min(times)  # the first compiles
     return Look(image, met, law, PILOT * spent, PILOT * few * shown, spent / (few * shown))
 
@@ -201,7 +204,7 @@ def adapted(first: Pass, goal: Goal, look: Look, mesh: Mesh | None = None) -> tu
         before = count
         added = 2 * float((count - 1).sum())
         image = _image_with_strata(first, number, strata_of(count, first.camera), mesh)
-        shares = goal.shares(image)
+        shares = shares_of(goal.weight(image), np.asarray(image.standard_error))
         missed = excess(shares)
         if missed <= 1:
             return image, True
@@ -222,15 +225,16 @@ def seconds_of(first: Pass, goal: Goal, look: Look) -> float:
     taken, left = first.of(2), goal.seconds - look.seconds
     count = look.strata(goal.most, left)
     strata, own, spent = strata_of(count, first.camera), of_items(_seen_at, taken), 0.0
-    some = [strata.chunk(taken, number)[2] for number in range(min(cores(), strata.chunks(taken)))]
+    size = taken.spots
+    some = [strata.chunk(size, number)[2] for number in range(min(cores(), strata.chunks(size)))]
     for compiled in (False, True):
         began = time.perf_counter()
-        list(each_of(lambda spots: jax.block_until_ready(own((placed(np.uint32(0)), placed(spots)))), some, compiled))
+        list(each_of(lambda spots: jax.block_until_ready(own((np.uint32(0), spots))), some, compiled))
         spent = (time.perf_counter() - began) / max(len(some), 1)
     rounds = [count]
     if look.asks_scout(count, left):
         rounds.append(look.strata(goal.most, left, SCOUT))
-    return sum(look.base + spent * strata_of(each, first.camera).chunks(taken) for each in rounds)
+    return sum(look.base + spent * strata_of(each, first.camera).chunks(size) for each in rounds)
 
 
 def _image_with_strata(first: Pass, number: int, strata: Strata, mesh: Mesh | None) -> Image:
@@ -241,13 +245,13 @@ def _image_with_strata(first: Pass, number: int, strata: Strata, mesh: Mesh | No
     return image_of_pixels(taken, with_strata(taken, pixels, strata), placed(np.int32(round(mean))))
 
 
-def _of_a_pass(passes: list[Image]) -> Float[np.ndarray, "row column band"]:
+def _of_a_pass(passes: list[Image], window: Window) -> Float[np.ndarray, "row column band"]:
     """Variance of the mean of the rays of a pass, by those of all: both sets of points of one may agree by chance.
 
     With n passes, means m_i and standard errors e_i it is sum (e_i^2 + (m_i - mean)^2) / (2 n - 1).
     """
-    mean = np.array([np.asarray(image.radiance, np.float64) for image in passes])
-    within = sum(np.asarray(image.standard_error, np.float64) ** 2 for image in passes)
+    mean = np.array([np.asarray(image.radiance)[window] for image in passes], np.float64)
+    within = sum(np.asarray(image.standard_error)[window].astype(np.float64) ** 2 for image in passes)
     return (within + ((mean - mean.mean(axis=0)) ** 2).sum(axis=0)) / (2 * len(passes) - 1)
 
 
@@ -256,12 +260,14 @@ def strata_of(count: Int[np.ndarray, "row column"], camera: Camera) -> Strata:
     row, column = np.nonzero(count > 1)
     order = np.lexsort((column, row, column // TILE, row // TILE))
     row, column = row[order], column[order]
-    return Strata(row, column, count[row, column], np.ceil(np.sqrt(count[row, column]) - 1e-9).astype(np.int64))
+    each = count[row, column]
+    return Strata(row, column, row * camera.shape[1] + column, each, np.ceil(np.sqrt(each) - 1e-9).astype(np.int64))
 
 
 def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
     """Estimates of all pixels [row, column], with strata of their own in some in the place of `base`."""
-    count, chunks = strata.count, strata.chunks(taken)
+    count, size = strata.count, taken.spots
+    chunks = strata.chunks(size)
     if count.size == 0:
         return base
     sums: Any = None
@@ -269,8 +275,8 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
 
     def seen_at(number: int) -> tuple[np.ndarray, np.ndarray, tuple[Seen, Varied, Varied]]:
         """Pixels of a chunk of strata, of which the last fill up the last chunk, and where each begins in it."""
-        pixel, place, spots = strata.chunk(taken, number)
-        seen = jax.device_get(own((placed(np.uint32(number)), placed(spots))))
+        pixel, place, spots = strata.chunk(size, number)
+        seen = jax.device_get(own((np.uint32(number), spots)))
         mean, apart = jax.tree.map(lambda leaf: leaf[: strata.end[-1] - number * len(spots)], seen)
         return pixel, place, (mean, apart, jax.tree.map(lambda leaf: np.square(leaf, dtype=np.float64), apart))
 

@@ -36,7 +36,7 @@ from jaxir.transport import (
     with_scattered,
 )
 
-TILES = 64  # of a chunk at most
+TILES = 256  # of a chunk at most
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in a processor's cache
 BLOCKS = 3  # in which the tiles of a chunk are traced at least on a CPU, so that those that see nothing are left out
 PARTS = 8  # chunks of a small image on a CPU, for so many devices to share

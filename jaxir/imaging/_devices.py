@@ -118,7 +118,7 @@ def item_by_item(
     if devices is None:
         of = of_items(function, inputs)
         with progress(label, len(items)) as done:
-            every = each_of(lambda item: jax.block_until_ready(of(placed(item))), items)
+            every = each_of(lambda item: jax.block_until_ready(of(item)), items)
             for item, result in zip(items, every, strict=True):
                 yield np.asarray([item]), result
                 done(1)

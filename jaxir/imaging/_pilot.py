@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Int
 
-from jaxir._arrays import as_float, placed
+from jaxir._arrays import as_float
 from jaxir._concurrent import cores, each_of
 from jaxir._programs import of_items
 from jaxir.imaging._chunks import Pass, as_number, estimate_chunk
@@ -74,7 +74,7 @@ def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
 def _timed(of: Callable[[Array], Estimate], chunks: Int[np.ndarray, " chunk"]) -> tuple[list[Estimate], float]:
     """Chunks, and the seconds that they took together."""
     began = time.perf_counter()
-    every = each_of(lambda chunk: jax.block_until_ready(of(placed(chunk))), chunks, ready=len(chunks) > 1)
+    every = each_of(lambda chunk: jax.block_until_ready(of(chunk)), chunks, ready=len(chunks) > 1)
     estimates = list(every)
     return estimates, time.perf_counter() - began
 

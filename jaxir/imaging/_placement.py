@@ -19,8 +19,12 @@ from jaxtyping import Bool, Float, Int
 MARGIN = 0.9  # of the error asked for that is aimed at: what the pilot tells is itself uncertain
 NOISE, EDGES, SMOOTH = (1.0, 1.0), (1.5, 0.8), (2.2, 0.6)  # a, and c of even points in that of two rays
 _HALVINGS = 48
+REACH = 2  # pixels as far as which one tells of others: of those beside it by its difference, of theirs by `around`
 MIDDLE = 32  # rays at which laws of neighbours are added
 LEAST = 1e-9  # of what was foretold
+
+
+Window = tuple[slice, slice]  # rows and columns of an image
 
 
 class Law(NamedTuple):
@@ -41,6 +45,12 @@ class Law(NamedTuple):
     def excess(self, strata: Int[np.ndarray, "row column"]) -> float:
         """Error, with so many strata of two rays in each pixel, over the error asked for."""
         return float(np.sqrt(self.at(2.0 * strata).sum()))
+
+    def spread(self, shape: tuple[int, int], window: Window) -> Law:
+        """The same in an image of which it is known in a `window` alone, beyond which nothing varies."""
+        constant, power = np.zeros(shape), np.full(shape, self.power.max())
+        constant[window], power[window] = self
+        return Law(constant, power)
 
     def smoothed(self) -> Law:
         """`around` of laws: the law with the value and the slope that their sum has at `MIDDLE` rays."""
@@ -99,6 +109,16 @@ class Law(NamedTuple):
         count = np.ones(self.constant.shape, np.int64)
         count[bright] = strata(np.exp(low)) if beyond(found) else found
         return count
+
+
+def window_of(radiance: Float[np.ndarray, "row column band"], error: Float[np.ndarray, "row column band"]) -> Window:
+    """Where a law is looked for: all but margins that show what the first pixel does, without error."""
+    other = ((radiance != radiance[:1, :1]) | (error > 0)).any(axis=-1)
+    edges = []
+    for axis in range(2):
+        at = np.flatnonzero(other.any(axis=1 - axis))
+        edges.append(slice(max(at[0] - REACH, 0), at[-1] + REACH + 1) if at.size else slice(0, 1))
+    return edges[0], edges[1]
 
 
 def law_of(
@@ -180,5 +200,5 @@ def _nine(values: Float[np.ndarray, "row column *more"]) -> Iterator[Float[np.nd
 def well_shaped_strata(wanted: np.ndarray) -> Int[np.ndarray, " pixel"]:
     """k^2 or k (k + 1), at most `wanted` but for less than half the step to the next, and at least 1."""
     side = np.floor(np.sqrt(np.maximum(wanted, 1)) + 1e-9).astype(np.int64)
-    steps = np.stack([side * side, side * (side + 1), (side + 1) ** 2])
-    return np.take_along_axis(steps, np.abs(steps - wanted[None]).argmin(axis=0)[None], axis=0)[0]
+    square = side * side
+    return square + side * (wanted > square + side / 2) + (side + 1) * (wanted > square + (3 * side + 1) / 2)

@@ -76,19 +76,24 @@ class Goal(NamedTuple):
 
     def weight(self, image: Image) -> Float[np.ndarray, "row column band"]:
         """w of each pixel: the errors asked for are met where sum_p w_p v_p <= 1 in every band, v_p the variances."""
-        contrast = np.abs(np.asarray(image.radiance, np.float64) - np.asarray(image.empty, np.float64))
-        weight = np.zeros_like(contrast)
+        weight = np.zeros(image.radiance.shape[-1])
         if self.pixel_rtol is not None:
+            contrast = np.abs(np.asarray(image.radiance) - np.asarray(image.empty)).astype(np.float64)
             seen = (contrast > 0).sum(axis=(0, 1))
             allowed = seen * (self.pixel_rtol * contrast.sum(axis=(0, 1)) / np.maximum(seen, 1)) ** 2
             weight = np.maximum(weight, _over(1.0, allowed))
-        area = np.asarray(image.camera.pixel_area(), np.float64)[:, :, None]
-        intensity = np.asarray(image.radiant_intensity(), np.float64)
-        return np.maximum(weight, _over(area**2, self.tolerance.allowed(intensity) ** 2))
+        if self.tolerance != ANY:
+            area = np.asarray(image.camera.pixel_area(), np.float64)[:, :, None]
+            intensity = np.asarray(image.radiant_intensity(), np.float64)
+            weight = np.maximum(weight, _over(area**2, self.tolerance.allowed(intensity) ** 2))
+        return np.broadcast_to(weight, image.radiance.shape)
 
-    def shares(self, image: Image) -> Float[np.ndarray, "row column band"]:
-        """w_p v_p of each pixel, see `weight`; `excess` of them tells whether the goal is met."""
-        return self.weight(image) * np.asarray(image.standard_error, np.float64) ** 2
+
+def shares_of(
+    weight: Float[np.ndarray, "row column band"], error: Float[np.ndarray, "row column band"]
+) -> Float[np.ndarray, "row column band"]:
+    """w_p v_p of each pixel, see `Goal.weight`, by its standard error; `excess` tells whether the goal is met."""
+    return weight * error.astype(np.float64) ** 2
 
 
 def excess(shares: Float[np.ndarray, "row column band"]) -> float:

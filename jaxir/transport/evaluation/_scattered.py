@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Int
 
-from jaxir._arrays import fingerprint, is_traced, placed
+from jaxir._arrays import fingerprint, is_traced
 from jaxir._concurrent import each_of
 from jaxir._programs import of_items, program
 from jaxir.geometry import Camera
@@ -77,7 +77,7 @@ def _solved(lit: Lit, method: Method) -> AbstractMedium:
     else:
         of_group = of_items(_solution, (equations, ordinates))
         groups = np.arange(count, dtype=np.int32)
-        each = list(each_of(lambda group: jax.block_until_ready(of_group(placed(group))), groups, ready=count > 1))
+        each = list(each_of(lambda group: jax.block_until_ready(of_group(group)), groups, ready=count > 1))
         solutions = jax.tree.map(lambda *some: jnp.stack(some), *each)
     return _finished(equations, ordinates, solutions)
 
