@@ -75,10 +75,13 @@ def parameter(within: Range) -> Any:
     return quantity("1", ("face", "node"), within, per_face, least=1)
 
 
+NARROWEST = 1e-4  # lobe
+
+
 def width_of_lobe(field: str, value: Array) -> Check:
     """`value` lies in [1e-4, 1]: narrower lobes have derivatives beyond float32, and no sampler meets them."""
     _, x = on_host(value)
-    return Check(field, x, (x >= 1e-4) & (x <= 1), "values in [1e-4, 1]")
+    return Check(field, x, (x >= NARROWEST) & (x <= 1), "values in [1e-4, 1]")
 
 
 def facing(omega: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Float[Array, " 3"]:

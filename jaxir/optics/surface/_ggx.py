@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import as_float, as_one_program, non_negative, positive
 from jaxir._math import dot, frame_around, gauss_legendre, matmul, safe_divide, safe_sqrt, tensordot
 from jaxir.optics.surface._brdf import (
+    NARROWEST,
     AbstractBrdf,
     cosine_density,
     cosine_direction,
@@ -30,6 +31,7 @@ from jaxir.optics.surface._brdf import (
 from jaxir.optics.surface._fresnel import conductor_absorptance, conductor_reflectance
 
 _DEGREE = (16, 10)  # Chebyshev coefficients of the loss in (direction, roughness)
+_OF_MEAN = 28  # and of the logarithm of its mean in that of the roughness
 _FINE = 48  # quadrature points behind those coefficients
 _COARSE = 6  # and behind the mean absorptance of one direction, each way
 _MEAN = 12
@@ -224,9 +226,12 @@ def _loss(cos: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Arr
 
 
 def _mean_loss(roughness: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Mean of 1 - E over cosine-weighted directions."""
-    series = tensordot(as_float(_loss_table()[1]), _chebyshev(2 * roughness - 1, _DEGREE[1]), 1)
-    return jnp.maximum(series, 1e-7)
+    """Mean of `_loss` over cosine-weighted directions, to 2e-4 of itself.
+
+    It is that of the series, whatever this errs: of what multiply scattered light is divided by it, all is sent.
+    """
+    x = 1 - 2 * jnp.log(roughness) / np.log(NARROWEST)
+    return jnp.exp(tensordot(as_float(_loss_table()[1]), _chebyshev(x, _OF_MEAN), 1))
 
 
 def _chebyshev(x: Float[Array, "*leaf"], count: int) -> Float[Array, "order *leaf"]:
@@ -239,7 +244,7 @@ def _chebyshev(x: Float[Array, "*leaf"], count: int) -> Float[Array, "order *lea
 
 @functools.cache
 def _loss_table() -> tuple[np.ndarray, np.ndarray]:
-    """Chebyshev coefficients of 1 - E [direction, roughness] and of its mean [roughness], in double precision."""
+    """Chebyshev coefficients of 1 - E [direction, roughness] and of its mean's logarithm, in double precision."""
     t, a = (_chebyshev_points(n) for n in _DEGREE)
     tt, aa = (m.ravel() for m in np.meshgrid(t, a, indexing="ij"))
     cos = aa * tt**2 / (1 + aa - tt**2)
@@ -247,10 +252,13 @@ def _loss_table() -> tuple[np.ndarray, np.ndarray]:
     cheb = np.polynomial.chebyshev
     to_t, to_a = (np.linalg.inv(cheb.chebvander(2 * x - 1, len(x) - 1)) for x in (t, a))
     table = to_t @ loss @ to_a.T
-    mu, weight = gauss_legendre(64)
+    mu, weight = gauss_legendre(200)
+    x = _chebyshev_points(_OF_MEAN)
+    a = NARROWEST ** (1 - x)
     s = np.sqrt(mu[:, None] * (1 + a) / (mu[:, None] + a))
-    mean = 2 * np.sum((weight * mu)[:, None] * cheb.chebval2d(2 * s - 1, 2 * a[None] - 1 + 0 * s, table), axis=0)
-    return table, to_a @ mean
+    each = np.maximum(cheb.chebval2d(2 * s - 1, 2 * a[None] - 1 + 0 * s, table), 0)
+    mean = 2 * np.sum((weight * mu)[:, None] * each, axis=0)
+    return table, np.linalg.inv(cheb.chebvander(2 * x - 1, _OF_MEAN - 1)) @ np.log(mean)
 
 
 def _single_scattering(cos: np.ndarray, roughness: np.ndarray) -> np.ndarray:
