@@ -39,6 +39,29 @@ def test_bins_tile_the_band_and_weights_sum_to_one(band, width):
     assert np.all(np.asarray(nodes.response) == 1)
 
 
+RESPONSES = {
+    "narrow": ([3.0, 3.425, 3.43, 3.44, 3.445, 5.0], [0, 0, 1, 1, 0, 0]),
+    "saw": (np.linspace(3.9, 4.1, 9), [0, 1, 0, 1, 0, 1, 0, 1, 0]),
+    "notch": ([3.0, 3.9, 4.0, 4.3, 4.4, 5.0], [1, 1, 0, 0, 1, 1]),
+    "ramp": ([8.0, 12.0], [0.0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("width", [50.0, 200.0])
+@pytest.mark.parametrize("name", RESPONSES)
+def test_a_response_is_resolved_where_it_varies_with_planck_s_law(name, width, x64):
+    wavelength, response = RESPONSES[name]
+    nodes = resolved_nodes(sensor_band(name, wavelength, response), width, 1, 0)
+    assert np.asarray(nodes.response).min() > 0  # none where nothing is seen
+    knots = [np.linspace(a, b, 2001) for a, b in zip(wavelength[:-1], wavelength[1:], strict=True)]
+    at = np.unique(np.concatenate(knots))
+    for temperature in (250.0, 300.0, 1000.0):
+        each = np.interp(at, wavelength, response) / at**5 / np.expm1(14387.768775 / (at * temperature))
+        expected = 1.1910429723971884e8 * np.trapezoid(each, at)
+        got = nodes.in_band(band_radiance(jnp.asarray(temperature), nodes))[0]
+        assert float(got) == pytest.approx(expected, rel=2e-3)
+
+
 def test_bin_sum_of_planck_is_the_band(precision):
     nodes, gray = resolved_nodes([SWIR, MWIR, LWIR], points=3), gray_nodes([SWIR, MWIR, LWIR])
     temperature = np.asarray([255.0, 1000.0, 2000.0], precision)

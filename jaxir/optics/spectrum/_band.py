@@ -26,6 +26,7 @@ from jaxir._math import matmul
 from jaxir._plausible import usual
 
 _MICROMETRES = usual(0.1, 100, "um", below="is it in m?", above="is it in nm or cm-1?")
+_INSIDE = (np.arange(256) + 0.5) / 256  # places in a bin where a response is read
 SECOND_RADIATION = 1.4387768775039337  # c2 = h c / k [cm K], exact since 2019 (CODATA 2018)
 
 
@@ -66,11 +67,19 @@ class Band(eqx.Module):
 
     def mean_response(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         """Mean response over wavenumber bins [bin] (edges in cm-1, inside the band), in double precision."""
+        return self._at(lower, upper).mean(axis=1)
+
+    def response_moment(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Mean over bins of the response times the distance from the bin's middle [bin] [cm-1]."""
+        return (self._at(lower, upper) * (_INSIDE - 0.5)).mean(axis=1) * (upper - lower)
+
+    def _at(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Response at even places of bins [bin, place]."""
         if self.response is None:
-            return np.ones_like(lower)
+            return np.ones((lower.size, 1))
         wavelength, response = np.array(self.response).T
-        inside = lower[:, None] + (upper - lower)[:, None] * (np.arange(256) + 0.5) / 256
-        return np.interp(1e4 / inside, wavelength, response).mean(axis=1)
+        inside = lower[:, None] + (upper - lower)[:, None] * _INSIDE
+        return np.interp(1e4 / inside, wavelength, response)
 
 
 def sensor_band(name: str, wavelength: ArrayLike, response: ArrayLike) -> Band:

@@ -14,12 +14,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._math import gauss_legendre
-from jaxir.optics.spectrum._band import Band, Nodes, as_bands, bin_edges, build_nodes, gray_nodes
+from jaxir.optics.spectrum._band import SECOND_RADIATION, Band, Nodes, as_bands, bin_edges, build_nodes, gray_nodes
 
 CO2_H2O_OVERLAP = ((800.0, 1150.0), (3300.0, 3800.0), (4800.0, 5150.0))
 """Where CO2 and H2O of combustion products both matter [cm-1]: elsewhere between 800 and 9300 cm-1 a common quantile
 changes the radiance of SWIR, MWIR or LWIR by less than 0.3 % (1e-3 rms)."""
 
+COLD = 250.0  # temperature whose blackbody changes fast with the wavenumber [K]
+OF_RESPONSE = 2e-3  # of a band may be what responses err that act by their means over bins
+HALVINGS = 6  # of bins at most
 _GRAIN = 1e-9  # of edges that went through `Nodes.edge`
 _STRETCH = 3  # g = 1 - (1 - s)^3 crowds the points where the few strong values of k lie
 
@@ -65,14 +68,16 @@ def resolved_nodes(
 
     Args:
         bands: at least one band; bands may overlap and then share bins.
-        width: bin width [cm-1]. The embedded tables have 50 cm-1; wider bins group their rows, narrower ones repeat
-            them (and resolve Planck's law and a user's table better).
+        width: bin width [cm-1]; less where a band's response varies inside a bin, so that its product with Planck's law
+            errs by 2e-3 of the band at most, at 250 K. The embedded tables have 50 cm-1; wider bins group their rows,
+            narrower ones repeat them (and resolve Planck's law and a user's table better).
         points: quantiles in a bin with one important gas; 1 for spectra that are smooth inside a bin.
         pair_points: quantiles per gas in overlap bins; 0 keeps equal quantiles there too.
         overlap: wavenumber intervals [cm-1] with two important gases.
 
     Returns:
-        Nodes in ascending wavenumber; `Nodes.response` is each band's mean response over the bin, 0 outside the band.
+        Nodes in ascending wavenumber, none where no band responds; `Nodes.response` is each band's mean response over
+        the bin, 0 outside the band.
 
     Raises:
         ValueError: no band, a width that is not > 0, or a number of points out of range.
@@ -84,14 +89,48 @@ def resolved_nodes(
         raise ValueError(f"points, pair_points: got {points}, {pair_points}, expected 1 ... 64 and 0 ... 64")
 
     edges = np.array([(1e4 / band.upper, 1e4 / band.lower) for band in bands])
-    lower, upper = _bins(edges, width)
-    middle = (lower + upper) / 2
-    inside = (middle > edges[:, :1]) & (middle < edges[:, 1:])
-    response = np.zeros(inside.shape)
-    for i, band in enumerate(bands):
-        response[i, inside[i]] = band.mean_response(lower[inside[i]], upper[inside[i]])
+    lower, upper = _cut_by_response(bands, edges, *_bins(edges, width))
+    response = _in_bins(bands, edges, lower, upper, Band.mean_response)
+    some = response.any(axis=0) if response.any() else slice(None)
+    each = lower[some], upper[some], response[:, some]
+    return _with_quantiles(*each, points, pair_points, overlap, [band.name for band in bands])
 
-    return _with_quantiles(lower, upper, response, points, pair_points, overlap, [band.name for band in bands])
+
+def _in_bins(
+    bands: Sequence[Band], edges: np.ndarray, lower: np.ndarray, upper: np.ndarray, of: Callable
+) -> Float[np.ndarray, "band bin"]:
+    """What `of` a band says of bins inside it; 0 of others."""
+    middle = (lower + upper) / 2
+    found = np.zeros((len(bands), lower.size))
+    for band, (low, high), row in zip(bands, edges, found, strict=True):
+        inside = (middle > low) & (middle < high)
+        row[inside] = of(band, lower[inside], upper[inside])
+    return found
+
+
+def _cut_by_response(
+    bands: Sequence[Band], edges: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bins halved where a response varies with the blackbody of `COLD` in them, and acts otherwise than by its mean.
+
+    With r the response and x = nu - nu_middle, a bin errs by c2 / T mean(r x) of its width to first order; all bins
+    of a band together by `OF_RESPONSE` of it at most, if `HALVINGS` suffice.
+    """
+    if all(band.response is None for band in bands):
+        return lower, upper
+    for _ in range(HALVINGS):
+        width = upper - lower
+        whole = (_in_bins(bands, edges, lower, upper, Band.mean_response) * width).sum(axis=1, keepdims=True)
+        moment = _in_bins(bands, edges, lower, upper, Band.response_moment)
+        errs = np.abs(moment) * width * SECOND_RADIATION / COLD
+        cut = (errs * lower.size > OF_RESPONSE * whole).any(axis=0)
+        if not cut.any():
+            break
+        middle = (lower[cut] + upper[cut]) / 2
+        ends = np.concatenate([lower, middle]), np.concatenate([np.where(cut, (lower + upper) / 2, upper), upper[cut]])
+        order = np.argsort(ends[0])
+        lower, upper = (each[order] for each in ends)
+    return lower, upper
 
 
 def finer_nodes(nodes: Nodes) -> Nodes:
