@@ -11,7 +11,7 @@ from jaxir.optics.particle import GrayParticles, Isotropic, Particles, ParticleT
 from jaxir.optics.spectrum import LWIR, MWIR, Band, gray_nodes, resolved_nodes
 from studies.fit_plume import soot_index
 
-pytest.importorskip("miepython")
+miepython = pytest.importorskip("miepython")
 
 
 def efficiencies(diameter, table):
@@ -95,6 +95,25 @@ def test_gradients_reach_number_density_and_table(table):
     whole = depth(jnp.asarray(1e9), table.extinction)
     assert float(by_count) == pytest.approx(float(whole) / 1e9, rel=1e-5)
     assert float(by_section @ table.extinction) == pytest.approx(float(whole), rel=1e-5)
+
+
+@pytest.mark.parametrize(("diameter", "spread", "index"), [(5.0, 0.4, 1.6 - 0.01j), (2.0, 0.7, 1.8 - 0.01j)])
+def test_means_over_sizes_that_ripple(diameter, spread, index):
+    """Against 1601 sizes of miepython, by number weighted, over nine spreads."""
+    wavelength = np.array([4.0, 10.0])
+    z = 2 * spread + np.linspace(-4.5, 4.5, 1601)
+    share = np.exp(-z * z / 2) * (z[1] - z[0]) / np.sqrt(2 * np.pi)
+    extinction, scattering, forward = np.zeros((3, 2))
+    for d, part in zip(diameter * np.exp(spread * z), share * np.pi / 4e12, strict=True):
+        whole, sent, _, cosine = miepython.efficiencies_mx(np.full(2, index), np.pi * d / wavelength)
+        extinction += part * d**2 * whole
+        scattering += part * d**2 * sent
+        forward += part * d**2 * sent * cosine
+    table = mie_table(diameter, index, wavelength, spread, angles=181)
+    np.testing.assert_allclose(table.extinction[::-1], extinction, rtol=2e-3)
+    np.testing.assert_allclose(table.scattering[::-1], scattering, rtol=2e-3)
+    cosine = 2 * np.pi * np.trapezoid(np.asarray(table.phase) * np.asarray(table.cosine), table.cosine, axis=1)
+    np.testing.assert_allclose(cosine[::-1], forward / scattering, atol=0.01)
 
 
 def test_gray_particles():

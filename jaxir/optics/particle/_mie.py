@@ -14,6 +14,8 @@ from tqdm import tqdm
 from jaxir.optics.particle._tabulated import ParticleTable
 
 ANGLES = 361  # of a phase function at least
+FINER = 9  # sizes with cross-sections for each with a phase function; odd, so that that is the middle one
+REACH = 4.0  # spreads from the sizes that weigh most as far as which they count
 PER_SIZE = 6  # angles for each unit of the size parameter
 
 
@@ -35,7 +37,9 @@ def mie_table(
         spread: standard deviation of ln diameter; 0 gives equal spheres, whose spectrum ripples.
         angles: samples of the scattering angle in equal steps; by default `ANGLES`, or six for each unit of the
             largest size parameter pi diameter / wavelength, whose diffraction peak is as wide as its inverse.
-        sizes: Gauss-Hermite points of the lognormal distribution.
+        sizes: even steps of ln diameter with a phase function of their own, each with `FINER` sizes for cross-sections:
+            what absorbs little ripples with its size. The default errs by .1 % in cross-sections and .01 in mean
+            cosines, up to a spread of .7.
         progress: show a bar.
 
     Returns:
@@ -62,8 +66,10 @@ def mie_table(
     if (angles is not None and angles < 3) or sizes < 1:
         raise ValueError(f"angles, sizes: got {angles}, {sizes}, expected at least 3 and 1")
 
-    z, share = np.polynomial.hermite_e.hermegauss(sizes if spread > 0 else 1)
-    diameters, share = diameter * np.exp(spread * z), share / share.sum()
+    count = sizes * FINER if spread > 0 else 1
+    z = 2 * spread + REACH * (2 * (np.arange(count) + 0.5) / count - 1)  # areas weigh as d^2
+    diameters, share = diameter * np.exp(spread * z), np.exp(-z * z / 2) * 2 * REACH / (count * math.sqrt(2 * math.pi))
+    share = share if count > 1 else np.ones(1)
     refraction = np.broadcast_to(refraction, given.shape)
     if angles is None:
         largest = np.pi * diameters.max() / given[0]
@@ -71,16 +77,18 @@ def mie_table(
     cosine = np.cos(np.linspace(np.pi, 0, angles))
     extinction, scattering = np.zeros((2, given.size))
     phase = np.zeros((given.size, angles))
-    for d, part in tqdm(list(zip(diameters, share, strict=True)), desc="sizes", disable=not progress):
-        size = np.pi * d / given
-        q_extinction, q_scattering, _, _ = miepython.efficiencies_mx(refraction, size)
-        area = part * np.pi / 4 * (d * 1e-6) ** 2
-        extinction += area * q_extinction
-        scattering += area * q_scattering
-        for i in range(given.size):
-            lobe = miepython.i_unpolarized(refraction[i], size[i], cosine, norm="one")
-            phase[i] += area * q_scattering[i] * lobe
-    volume = float(share @ (np.pi / 6 * (diameters * 1e-6) ** 3))
+    step = min(count, FINER)
+    for begin in tqdm(range(0, count, step), desc="sizes", disable=not progress):
+        alike = np.zeros(given.size)
+        for d, part in zip(diameters[begin : begin + step], share[begin : begin + step], strict=True):
+            q_extinction, q_scattering, _, _ = miepython.efficiencies_mx(refraction, np.pi * d / given)
+            area = part * np.pi / 4 * (d * 1e-6) ** 2
+            extinction += area * q_extinction
+            alike += area * q_scattering
+        scattering += alike
+        for i, size in enumerate(np.pi * diameters[begin + step // 2] / given):
+            phase[i] += alike[i] * miepython.i_unpolarized(refraction[i], size, cosine, norm="one")
+    volume = np.pi / 6 * (diameter * 1e-6) ** 3 * math.exp(4.5 * spread**2)
     back = np.argsort(1e4 / given)
     phase = phase / scattering[:, None]
     return ParticleTable(1e4 / given[back], extinction[back], scattering[back], volume, cosine, phase[back])
