@@ -8,6 +8,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, enforce
@@ -45,7 +46,7 @@ def plume_intensity(
     Raises:
         ValueError: the scene has skin or particles; values are out of range.
 
-    Differentiable in every radiometric leaf; not in the grid or the aspect.
+    Differentiable in every radiometric leaf, and in the place and shape of a jet; not in a grid or the aspect.
     """
     if scene.skin is not None or scene.scatters:
         raise ValueError("scene: got skin or particles, expected plumes of gas alone")
@@ -60,28 +61,33 @@ def _integrated(scene: Scene, nodes: Nodes, frame: Array, rays: int) -> Array:
     through, area = entering(extent.min(axis=0), extent.max(axis=0), frame[2], rays)
     far = jnp.full(through.count, jnp.inf, area.dtype)
     seen = lit.through_air(lit.through_plume(through, far, lit.background(through.direction)))
-    return nodes.in_band(jnp.sum(seen - lit.empty(through.direction), axis=0) * area)
+    return nodes.in_band(jnp.sum((seen - lit.empty(through.direction)) * area[:, None], axis=0))
 
 
 def entering(
     low: Float[Array, " 3"], high: Float[Array, " 3"], toward: Float[Array, " 3"], count: int
-) -> tuple[Rays, Float[Array, ""]]:
-    """Rays against `toward` that start on the faces of a box, and the cross-section that each stands for [m2]."""
+) -> tuple[Rays, Float[Array, " ray"]]:
+    """Rays against `toward` that start on the faces of a box, and the cross-section that each stands for [ray] [m2].
+
+    Each face keeps its rays while the box changes under differentiation, so that none goes over to another.
+    """
     size = high - low
     index = np.arange(count)  # on the host: a multiple of the golden ratio soon fills the digits of float32
     along, across = as_float((index + 0.5) / count), as_float((index * GOLDEN + 0.5) % 1)
     projected = jnp.abs(toward) * jnp.prod(size) / size
-    whole = jnp.sum(projected)
-    origin, begin = jnp.zeros((count, 3), size.dtype), as_float(0.0)
+    shares = lax.stop_gradient(projected / jnp.sum(projected))
+    origin, area, begin = jnp.zeros((count, 3), size.dtype), jnp.zeros(count, size.dtype), as_float(0.0)
     for axis in range(3):  # the three faces side by side, each as wide as its share of the outline
-        share = projected[axis] / whole
+        share = shares[axis]
         place = {axis: jnp.broadcast_to(jnp.where(toward[axis] > 0, size[axis], 0), along.shape)}
         even = jnp.clip((along - begin) / jnp.where(share > 0, share, 1), 0, 1)
         a, b = (axis + 1) % 3, (axis + 2) % 3
         longer = size[a] >= size[b]
         place[a], place[b] = jnp.where(longer, even, across) * size[a], jnp.where(longer, across, even) * size[b]
         own = jnp.stack([place[a] for a in range(3)], axis=1)
-        origin = jnp.where(((along >= begin) & (share > 0))[:, None], own, origin)
+        here = (along >= begin) & (share > 0)
+        origin = jnp.where(here[:, None], own, origin)
+        area = jnp.where(here, projected[axis] / (jnp.where(share > 0, share, 1) * count), area)
         begin = begin + share
     start = origin + low[None]
-    return Rays(start, jnp.broadcast_to(-toward, start.shape)), whole / count
+    return Rays(start, jnp.broadcast_to(-toward, start.shape)), area

@@ -100,6 +100,21 @@ def test_parallel_rays_through_a_plume_in_hazy_air_in_front_of_a_sky():
         np.testing.assert_allclose(got, 0.6 * outline * (black - 2.0), rtol=2e-5)
 
 
+@pytest.mark.parametrize("azimuth, elevation", [(90.0, 0.0), (150.0, 20.0)])
+def test_the_shape_of_a_jet_has_right_slopes_from_any_side(azimuth, elevation, x64):
+    """Its box changes with it, and rays keep to their faces."""
+
+    def intensity(shape):
+        where = (0.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
+        jet = jaxir.JetPlume(*where, 1.0, 900.0, 250.0, jaxir.GrayGas(0.3), spreading=shape[0], length=shape[1])
+        return jaxir.plume_intensity(jaxir.Scene(plumes=jet), azimuth, elevation, jaxir.MWIR, rays=32768)[0]
+
+    shape = np.array([0.22, 12.0])
+    step = np.diag(0.03 * shape)
+    expected = [(intensity(shape + h) - intensity(shape - h)) / (2 * h.sum()) for h in step]
+    np.testing.assert_allclose(jax.grad(intensity)(shape), expected, rtol=1e-2)
+
+
 def test_a_pixel_inside_a_homogeneous_box_has_no_error(precision):
     plume = gray_box((2.0, 2.0, 2.0), 0.7)
     black = float(jaxir.band_radiance(plume.temperature[0, 0, 0], gray_nodes((jaxir.MWIR,)))[0])

@@ -11,7 +11,7 @@ from jaxir._arrays import enforce
 from jaxir._math import frame_around
 from jaxir.optics.surface import BrdfPerFace, BrdfTable, Lambert, RoughConductor, SandfordRobertson
 from jaxir.optics.surface._fresnel import conductor_reflectance
-from jaxir.optics.surface._ggx import _loss, _single_scattering
+from jaxir.optics.surface._ggx import _loss, _mean_loss, _single_scattering
 
 FACE = np.int32(0)
 
@@ -184,6 +184,26 @@ def test_the_narrowest_lobe_has_finite_slopes_at_its_peak(narrowest):
     views = jnp.asarray(np.array([towards(c) for c in cos] + [towards(c, 0.3 + np.pi) for c in cos]), jnp.float32)
     for leaf in jax.tree.leaves(all_slopes(narrowest.at(jnp.asarray(FACE)), views, jnp.clip(views[:, 2], 0, 1))):
         assert np.all(np.isfinite(leaf))
+
+
+@pytest.mark.parametrize("roughness", [1e-4, 5e-4, 1e-3, 2e-3, 3e-3, 5e-3, 0.01, 0.1, 0.5, 1.0])
+def test_what_meets_several_facets_is_all_that_is_lost(roughness, precision):
+    """Of perfectly reflecting facets: the integral of loss_i loss_o / (pi mean) over directions i is loss_o."""
+    point, weight = np.polynomial.legendre.leggauss(400)
+    mu, a = (point + 1) / 2, jnp.asarray([roughness])
+    loss = jax.vmap(lambda cos: _loss(cos, a))(jnp.asarray(mu, a.dtype))[:, 0]
+    np.testing.assert_allclose((weight * mu) @ np.asarray(loss), _mean_loss(a)[0], rtol=5e-4)
+
+
+def test_paint_without_a_lobe_has_the_slope_of_one_that_begins(x64):
+    """All that is not emitted is diffuse: a little less emissivity makes a lobe."""
+    normal, i, o = jnp.asarray(NORMAL), tilted(towards(0.7)), tilted(towards(0.7, np.pi))
+
+    def value(emissivity):
+        brdf = SandfordRobertson(emissivity, 0.5, 0.3, 1.0).at(jnp.asarray(FACE))
+        return jnp.sum(brdf.eval(i, o, normal) + brdf.directional_emissivity(jnp.asarray(0.7)))
+
+    assert float(jax.grad(value)(0.5)) == pytest.approx(float((value(0.5) - value(0.5 - 1e-6)) / 1e-6), rel=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["paint", "metal rough", "table"])

@@ -49,6 +49,18 @@ def test_mean_cosine_of_henyey_and_greenstein():
     assert np.allclose(2 * np.pi * (weight * point) @ value, [0.7, -0.2], atol=1e-4)
 
 
+@pytest.mark.parametrize("asymmetry", [0.0, 0.6, -0.6])
+def test_slope_in_the_asymmetry_of_henyey_and_greenstein(asymmetry, x64):
+    """At 0 it is that of (1 + 3 a cos) / (4 pi), whatever the sign of a small step."""
+
+    def value(a):
+        return jax.vmap(HenyeyGreenstein(a).eval)(jnp.asarray([-1.0, -0.3, 0.8, 1.0]))[:, 0]
+
+    expected = (value(asymmetry + 1e-6) - value(asymmetry - 1e-6)) / 2e-6
+    for mode in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(mode(value)(asymmetry), expected, rtol=1e-8)
+
+
 def test_extreme_values_and_gradients_are_finite(phase, precision):
     phase = jax.tree.map(lambda leaf: leaf.astype(precision), phase)
     slopes = jax.jit(jax.vmap(jax.grad(lambda p, at: p.eval(at).sum(), argnums=(0, 1)), in_axes=(None, 0)))

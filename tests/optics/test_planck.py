@@ -156,7 +156,7 @@ def test_spectral_radiance_keeps_its_slope_when_cold():
 
 def test_brightness_temperature_inverts(precision):
     nodes = gray_nodes(BANDS)
-    temperature = as_float([150.0, 255.0, 700.0, 2500.0])
+    temperature = as_float([150.0, 255.0, 700.0, 2500.0, 3200.0, 6000.0, 1e6])
     got = brightness_temperature(nodes.in_band(band_radiance(temperature, nodes)), nodes)
     rtol = {"float32": 1e-6, "float64": 1e-10}[precision]
     np.testing.assert_allclose(got, np.repeat(np.asarray(temperature)[:, None], 3, 1), rtol=rtol)

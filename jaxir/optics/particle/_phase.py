@@ -91,8 +91,9 @@ class HenyeyGreenstein(AbstractPhase):
     def eval(self, cosine: Float[Array, ""]) -> Float[Array, " node"]:
         """See `AbstractPhase.eval`."""
         a = self.asymmetry
-        # (1 - a)^2 + 2 a (1 - cosine): no cancellation in the forward peak
-        square = (1 - jnp.abs(a)) ** 2 + 2 * jnp.abs(a) * (1 - jnp.sign(a) * cosine)
+        # 1 + a^2 - 2 a cosine, without cancellation in the peak
+        forward, backward = (1 - a) ** 2 + 2 * a * (1 - cosine), (1 + a) ** 2 - 2 * a * (1 + cosine)
+        square = jnp.where(a >= 0, forward, backward)
         return (1 - a) * (1 + a) / (4 * jnp.pi * square * jnp.sqrt(square))
 
     @as_one_program

@@ -34,6 +34,7 @@ STEFAN = FIRST_RADIATION / SECOND_RADIATION**4  # K [W m-2 sr-1 K-4]; sigma = pi
 _STRETCH = 6.0
 _POINTS = {4: 10, 8: 40}  # Gauss-Legendre points by dtype size
 _BLOCK = 512  # temperatures
+_HOTTER = 4.0  # times by which a step of Newton's method raises a temperature at most, which would pass infinity
 _WRITTEN_OUT = 10  # points that are terms of one expression at most
 
 
@@ -241,6 +242,6 @@ def brightness_temperature(
 
     def newton(inverse: Array, _: None) -> tuple[Array, None]:
         value, slope = jax.jvp(log_bands, (inverse,), (jnp.ones_like(inverse),))
-        return inverse + (wanted - value) / slope, None
+        return jnp.maximum(inverse + (wanted - value) / slope, inverse / _HOTTER), None
 
     return 1 / lax.scan(newton, jnp.full_like(wanted, 1 / 600.0), length=12)[0]

@@ -7,6 +7,7 @@ Discrimination (1985): a diffuse part, an emissivity that falls towards grazing,
 from __future__ import annotations
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, fraction
@@ -21,6 +22,7 @@ from jaxir.optics.surface._brdf import (
 )
 
 _POINTS = 24
+_ROUNDING = 8  # units of the last place by which a sum that is 1 may exceed it
 _WIDE = 0.7  # width beyond which the lobe is integrated by quadrature, because its closed form cancels
 
 
@@ -114,15 +116,16 @@ class SandfordRobertson(AbstractBrdf):
             Check(
                 "(emissivity + diffuse_reflectance) * 2 / G(grazing) of SandfordRobertson",
                 taken,
-                taken <= 1 + 8 * jnp.finfo(taken.dtype).eps,
+                taken <= 1 + _ROUNDING * jnp.finfo(taken.dtype).eps,
                 "at most 1 (a lobe that reflects at least nothing at normal incidence)",
             )
         ]
 
     def _specular(self, cos_o: Float[Array, ""]) -> Float[Array, " node"]:
         """S, the part of reflectance in the lobe."""
-        taken = self.emissivity + self.diffuse_reflectance
-        return jnp.maximum(1 - taken * _fall(cos_o, self.grazing), 0)
+        rest = 1 - (self.emissivity + self.diffuse_reflectance) * _fall(cos_o, self.grazing)
+        rounded = rest + lax.stop_gradient(jnp.maximum(rest, 0) - rest)  # 0 that may rise has the slope of what rises
+        return jnp.where(rest >= -_ROUNDING * jnp.finfo(rest.dtype).eps, rounded, 0)
 
     def _share(self, cos_o: Float[Array, ""]) -> Float[Array, ""]:
         """Probability of sampling the lobe: its mean part of the reflectance over nodes, kept off 0 and 1."""
