@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+FINELY = 30  # parts of an edge or a cell that coordinates must tell
 T = TypeVar("T")
 as_one_program = functools.partial(jax.jit, inline=True)  # of arrays alone: one compilation, and no trace inside others
 _BETWEEN = ("jaxir", "jax", "equinox", "jaxtyping", "beartype")  # packages between a user's line and a check
@@ -202,6 +203,14 @@ def below(field: str, value: Array, limit: float, unit: str) -> Check:
     """The size of `value` is less than a limit."""
     xp, x = _values(value)
     return Check(field, x, xp.abs(x) < limit, f"values below {limit:g} {unit}")
+
+
+def told_apart(field: str, place: Any, length: Any, what: str) -> Check:
+    """The precision in force tells coordinates `FINELY` times as finely as the lengths of what lies there."""
+    xp, x, size = on_host(place, length)
+    step = float(jnp.finfo(x.dtype).eps) * xp.abs(x)
+    expected = f"coordinates near enough to 0 for {x.dtype} to tell 1/{FINELY} of its {what}: move the scene there"
+    return Check(field, x, FINELY * step <= size, expected)
 
 
 def increasing(field: str, value: Array) -> Check:

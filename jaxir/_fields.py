@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import operator
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -108,11 +109,22 @@ def require_count(field: str, value: Any, least: int = 1) -> int:
     return value
 
 
-def require_part(field: str, value: Any, expected: str) -> None:
-    """`ValueError` unless `value` is an object that holds fields; a number takes the place of {} in `expected`."""
-    if not isinstance(value, eqx.Module):
+def require_counts(field: str, value: Any, what: str, many: int) -> tuple[int, ...]:
+    """`value` as so many integers >= 1, or `ValueError`, which says `what` they are."""
+    try:
+        counts = tuple(map(operator.index, value))
+    except TypeError:
+        counts = ()
+    if len(counts) != many or min(counts) < 1 or any(isinstance(each, bool) for each in value):
+        raise ValueError(f"{field}: got {value!r}, expected {what}, integers >= 1")
+    return counts
+
+
+def require_part(field: str, value: Any, kind: type, expected: str) -> None:
+    """`ValueError` unless `value` is of a kind of part; a number takes the place of {} in what is `expected`."""
+    if not isinstance(value, kind):
         number = isinstance(value, (int, float))
-        got = f"{value!r}" if number or isinstance(value, str) else f"a {type(value).__name__}"
+        got = f"{value!r}" if number or isinstance(value, str | type) else f"a {type(value).__name__}"
         raise ValueError(f"{field}: got {got}, expected {expected.format(value if number else '...')}")
 
 
@@ -121,9 +133,10 @@ class Physical(eqx.Module):
 
     def __check_init__(self) -> None:
         known: dict[str, tuple[int, ...]] = {}
+        optional = {entry.name for entry in dataclasses.fields(self) if entry.default is None}
         for name, declared in _declared(self):
             value = getattr(self, name)
-            if value is None:
+            if value is None and name in optional:
                 continue
             field = f"{type(self).__name__}.{name}"
             if isinstance(value, AbstractSpectrum) and declared.light:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import jaxir
+from jaxir._fields import require_counts, require_part
+from jaxir.optics.surface import AbstractBrdf
 
 PLATE = ([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], [[0, 1, 2], [0, 2, 3]])
 
@@ -80,6 +82,47 @@ def _render(scene, camera=None, bands=jaxir.MWIR, **more):
             "scene: got a plume or no skin",
         ),
         (lambda: jaxir.plume_intensity(jaxir.Scene(_skin()), 0.0, 0.0, jaxir.MWIR), "scene: got skin"),
+        (lambda: _plume(shape=(True, 2, 2)), r"Grid.shape: got \(True, 2, 2\)"),
+        (
+            lambda: require_counts("Grid.shape", (2.9, 2, 2), "cells", 3),
+            r"Grid.shape: got \(2.9, 2, 2\), expected cells, in",
+        ),
+        (
+            lambda: require_counts("Camera.shape", 8, "(rows, columns)", 2),
+            "Camera.shape: got 8, expected .rows, columns",
+        ),
+        (lambda: _skin(vertices=np.add(PLATE[0], 5e6)), "Mesh.vertices: got 5.*, expected .* float32 .* its edges"),
+        (
+            lambda: _render(jaxir.Scene(plumes=_plume(spacing=(1e-7, 0.5, 0.5)))),
+            r"Grid.origin: got -3.0 at index \[0\], expected .* its cells",
+        ),
+        *(
+            (
+                lambda d=d: jaxir.signature(jaxir.Scene(_skin()), [[0.0, 0.0]], jaxir.MWIR, distance=d),
+                f"distance: got {d}",
+            )
+            for d in (-3.0, np.nan, 0.0)
+        ),
+        (lambda: jaxir.unoccluded_intensity(jaxir.Scene(_skin()), np.nan, 0.0, jaxir.MWIR), "azimuth: got nan"),
+        (lambda: jaxir.plume_intensity(jaxir.Scene(plumes=_plume()), 0.0, np.nan, jaxir.MWIR), "elevation: got nan"),
+        *(
+            (build, f"{name}: got None, expected a number")
+            for build, name in (
+                (lambda: jaxir.Lambert(None), "Lambert.emissivity"),
+                (lambda: jaxir.FixedPath(None), "FixedPath.transmittance"),
+                (lambda: jaxir.ParallelSource((0.0, 0.0, -1.0), None), "ParallelSource.irradiance"),
+                (lambda: jaxir.NarrowBandGas(None, h2o=0.1), "NarrowBandGas.pressure"),
+            )
+        ),
+        (
+            lambda: require_part("Skin.brdf", jaxir.GrayGas(1.0), AbstractBrdf, "a brdf"),
+            "got a GrayGas, expected a brdf",
+        ),
+        (
+            lambda: require_part("Skin.brdf", jaxir.Lambert, AbstractBrdf, "a brdf"),
+            "Skin.brdf: got <class .*, expected",
+        ),
+        (lambda: require_part("camera", None, jaxir.Camera, "a camera"), "camera: got a NoneType, expected a camera"),
     ],
 )
 def test_the_error_names_field_got_and_expected(build, message):

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxir
@@ -109,6 +110,24 @@ def test_a_file_that_cannot_be_written_is_said_before_anything_is_computed(
     assert main([command, "scene.toml", *words, "-o", name]) == 1
     said = capsys.readouterr()
     assert re.search(message, said.err.removeprefix("jaxir: ").strip()) and not said.out
+
+
+@pytest.mark.parametrize(
+    ("command", "names", "message"),
+    [
+        ("render", ["-o", "hot.npz"], "^-o hot.npz: got a file that scene.toml is read from, expected another name"),
+        ("signature", ["-q", "source", "-o", "a.csv", "-o", "./a.csv"], "^-o a.csv: got it twice"),
+    ],
+)
+def test_nothing_is_written_over_what_a_scene_is_read_from(command, names, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.savez("hot.npz", temperature=np.full(2, 310.0))
+    held = Path("hot.npz").read_bytes()
+    write_scene(tmp_path, TEXT.replace("temperature = 300.0", 'temperature = { path = "hot.npz" }', 1))
+    assert main([command, "scene.toml", *names]) == 1
+    said = capsys.readouterr()
+    assert re.search(message, said.err.removeprefix("jaxir: ").strip()) and not said.out
+    assert Path("hot.npz").read_bytes() == held
 
 
 def test_a_folder_that_may_not_be_written_is_said_at_once(tmp_path, capsys, monkeypatch):

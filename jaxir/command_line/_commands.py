@@ -53,7 +53,7 @@ def render_command(arguments: argparse.Namespace) -> None:
     if not read.cameras:
         raise ValueError(f"{read.file}: got no key camera, expected one for render")
     quantities = quantities_of(arguments)
-    require_targets(outputs, read.cameras, quantities.values())
+    require_targets(read.file, outputs, read.cameras, quantities.values())
     for quantity, label in quantities.items():
         scene = scene_of(read, quantity)
         for name, camera in read.cameras.items():
@@ -87,9 +87,11 @@ def warn_of_errors(read: SceneFile, errors: ErrorBudget) -> None:
     scale = np.abs(np.asarray(errors.intensity))
     for part, what in LEFT_OUT.items():
         values = errors.parts[part]
-        share = 0.0 if values is None else float(np.max(np.asarray(values) / np.where(scale > 0, scale, np.inf)))
+        lacks = np.zeros_like(scale) if values is None else np.asarray(values)
+        share = float(np.max(np.divide(lacks, scale, out=np.where(np.isinf(lacks), np.inf, 0.0), where=scale > 0)))
         if share > 0.01:
-            warnings.warn(f"{read.file}: {what} about {share:.0%} of the intensity", stacklevel=2)
+            much = f"about {share:.0%} of the intensity" if share < np.inf else "more than can be told"
+            warnings.warn(f"{read.file}: {what} {much}", stacklevel=2)
 
 
 def warn_of_missed(read: SceneFile, table: Signature, state: str = "") -> None:
@@ -123,7 +125,7 @@ def signature_command(arguments: argparse.Namespace) -> None:
         naming(read, lambda: require_full_table(read.signature["views"], read.names))
     if read.states is not None:
         read.states.refuse(SHARED, "bands, views and components of a table are the same in all states")
-    require_targets(outputs, [""], quantities.values())
+    require_targets(read.file, outputs, [""], quantities.values())
     for quantity, label in quantities.items():
         began = time.perf_counter()
         table = naming(read, partial(table_of, read, quantity, label, arguments))
@@ -161,7 +163,7 @@ def film_command(arguments: argparse.Namespace) -> None:
     if read.states is None or not read.cameras:
         raise ValueError(f"{read.file}: got no section over or no camera, expected both for film")
     quantities = quantities_of(arguments)
-    require_targets(outputs, read.cameras, quantities.values())
+    require_targets(read.file, outputs, read.cameras, quantities.values())
     shown = {axis: labels(values, 6) for axis, values in read.states.over.items()}
     for quantity, label in quantities.items():
         films: dict[str, dict[str, Image]] = {}
@@ -205,7 +207,7 @@ def show_command(arguments: argparse.Namespace) -> None:
     """`jaxir show`: what a scene holds; nothing is rendered."""
     outputs = outputs_of(arguments.output, [], SHOW_FORMATS)
     read = read_scene(arguments.scene)
-    require_targets(outputs, [""], [""])
+    require_targets(read.file, outputs, [""], [""])
     naming(read, partial(check, read))
     print(read.describe())
     if outputs:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxir import plot
+from jaxir.command_line._inputs import inputs_of
 from jaxir.command_line._quantities import named
 from jaxir.imaging import Image, Signature
 from jaxir.io._files import written_whole
@@ -128,10 +129,16 @@ def targets(outputs: Iterable[Path], camera: str, label: str) -> list[Path]:
     return [named(path, f"_{camera}" if camera else "", label) for path in outputs]
 
 
-def require_targets(outputs: list[Path], cameras: Iterable[str], labels: Iterable[str]) -> None:
-    """Raise `ValueError` unless the files of all cameras and quantities can be written."""
+def require_targets(scene: Path, outputs: list[Path], cameras: Iterable[str], labels: Iterable[str]) -> None:
+    """Raise `ValueError` unless the files of all cameras and quantities can be written, none over one of the scene."""
+    inputs, written = {path.resolve(): name for name, path in inputs_of(scene).items()}, set()
     for camera, label in itertools.product(cameras, labels):
         for path in targets(outputs, camera, label):
+            if path.resolve() in inputs:
+                raise ValueError(f"-o {path}: got a file that {scene.name} is read from, expected another name")
+            if path.resolve() in written:
+                raise ValueError(f"-o {path}: got it twice, expected different files")
+            written.add(path.resolve())
             try:
                 _require_target(path)
             except (OSError, ValueError) as error:

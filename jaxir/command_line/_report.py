@@ -10,7 +10,6 @@ import platform
 import shlex
 import time
 import warnings
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,9 +20,10 @@ from jaxir import plot
 from jaxir.command_line._commands import TOLERANCES, warn_of_errors, warn_of_missed
 from jaxir.command_line._formats import REPORT_FORMATS, outputs_of, require_targets, write
 from jaxir.command_line._html import Page
+from jaxir.command_line._inputs import inputs_of
 from jaxir.command_line._quantities import QUANTITIES, naming, read_scene, scene_of
 from jaxir.imaging import ErrorBudget, Image, Signature, render, signature
-from jaxir.io.scene_file import SceneFile, read_toml
+from jaxir.io.scene_file import SceneFile
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Scene
 from jaxir.transport import DirectSampling, Method
@@ -34,10 +34,10 @@ MOST_ROWS = 400  # of a table in a page; a CSV holds the rest
 def report_command(arguments: argparse.Namespace) -> None:
     """Render and tabulate what the scene file asks for and write one page of it."""
     outputs = outputs_of(arguments.output, [Path(f"{arguments.scene.stem}_report.html")], REPORT_FORMATS)
-    require_targets(outputs, [""], [""])
     began, quantity = time.perf_counter(), arguments.quantity or "apparent"
     with _kept_warnings() as said:
         read = read_scene(arguments.scene)
+        require_targets(read.file, outputs, [""], [""])
         if not read.cameras and "views" not in read.signature:
             raise ValueError(f"{read.file}: got neither camera nor signature.views, expected one of them for report")
         page = Page(f"{read.file.stem}: {quantity} radiance and intensity")
@@ -194,22 +194,7 @@ def assumptions(read: SceneFile) -> list[str]:
 
 def hashes(file: Path) -> dict[str, str]:
     """SHA-256 of the scene file and of every file that it names, by name as written there."""
-    named = {file.name: file} | {name: file.parent / name for name in _paths(read_toml(file).value)}
     return {
         name: hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "a folder or missing"
-        for name, path in named.items()
+        for name, path in inputs_of(file).items()
     }
-
-
-def _paths(value: Any) -> Iterator[str]:
-    """Everything under a key `path` or `paths`."""
-    if isinstance(value, dict):
-        for key, child in value.items():
-            held = child if isinstance(child, list) else [child]
-            if key in ("path", "paths"):
-                yield from (one for one in held if isinstance(one, str))
-            else:
-                yield from _paths(child)
-    elif isinstance(value, list):
-        for child in value:
-            yield from _paths(child)

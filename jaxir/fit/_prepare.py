@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,7 +38,7 @@ def prepare(
     if not isinstance(measurements, Sequence):
         raise ValueError(f"measurements: got a {type(measurements).__name__}, expected a list, each of them {MEASURED}")
     for index, measurement in enumerate(measurements):
-        require_part(f"measurements[{index}]", measurement, f"one {MEASURED}")
+        require_part(f"measurements[{index}]", measurement, eqx.Module, f"one {MEASURED}")
     if not measurements:
         raise ValueError("measurements: got none, expected at least one")
     if not robust > 0:

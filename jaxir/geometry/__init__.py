@@ -10,6 +10,7 @@ from jaxir.geometry._camera import Eye as Eye
 from jaxir.geometry._camera import Grading as Grading
 from jaxir.geometry._camera import camera_around as camera_around
 from jaxir.geometry._camera import fitted_camera as fitted_camera
+from jaxir.geometry._camera import in_front as in_front
 from jaxir.geometry._camera import orthographic_camera as orthographic_camera
 from jaxir.geometry._camera import perspective_camera as perspective_camera
 from jaxir.geometry._camera import view_checks as view_checks

@@ -28,6 +28,7 @@ from jaxir._arrays import (
     require_precision,
     require_shape,
 )
+from jaxir._fields import require_counts
 from jaxir._math import dot, matmul, safe_sqrt
 from jaxir._plausible import ELEVATION, usual
 from jaxir.geometry._ray import Bundle
@@ -228,7 +229,7 @@ def view_frame(azimuth: Any, elevation: Any) -> Float[Array, "3 3"]:
     angles = as_float(azimuth, "azimuth"), as_float(elevation, "elevation")
     require_shape("azimuth", angles[0], ())
     require_shape("elevation", angles[1], ())
-    require([ELEVATION("elevation", angles[1])])
+    require([*map(finite, ("azimuth", "elevation"), angles), ELEVATION("elevation", angles[1])])
     xp, az, el = on_host(*angles)
     az, el = xp.deg2rad(az), xp.deg2rad(el)
     ca, sa, ce, se = xp.cos(az), xp.sin(az), xp.cos(el), xp.sin(el)
@@ -239,9 +240,8 @@ def view_frame(azimuth: Any, elevation: Any) -> Float[Array, "3 3"]:
 
 
 def _shape(shape: tuple[int, int]) -> tuple[int, int]:
-    if len(shape) != 2 or min(shape) < 1:
-        raise ValueError(f"Camera.shape: got {tuple(shape)}, expected (rows, columns), both >= 1")
-    return int(shape[0]), int(shape[1])
+    rows, columns = require_counts("Camera.shape", shape, "(rows, columns)", 2)
+    return rows, columns
 
 
 def perspective_camera(
@@ -298,6 +298,11 @@ def orthographic_camera(
     return Camera(point, view_frame(azimuth, elevation), as_float(0.0), broadcast(size, (2,)), _shape(shape))
 
 
+def in_front(field: str, distance: Array) -> Check:
+    """A distance to an eye is positive; it may be infinite."""
+    return Check(field, distance, distance > 0, "a distance > 0, or inf")
+
+
 def _require_positive(field: str, value: Array) -> None:
     """Raise `ValueError` for known values that are not positive and finite."""
     enforce(value, [positive(field, value)])
@@ -325,8 +330,10 @@ def camera_around(
     frame: Float[Array, "3 3"], extent: Float[Array, "corner 3"], shape: tuple[int, int], distance: Any = np.inf
 ) -> Camera:
     """As `fitted_camera`, with an image frame of any roll."""
-    inverse = 1 / as_float(distance, "distance")
-    require_shape("distance", inverse, ())
+    away = as_float(distance, "distance")
+    require_shape("distance", away, ())
+    require([in_front("distance", away)])
+    inverse = 1 / away
     rows, columns = _shape(shape)
     centre = (extent.max(axis=0) + extent.min(axis=0)) / 2
 

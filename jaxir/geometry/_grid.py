@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, finite, positive, require_shape
+from jaxir._arrays import Check, as_float, finite, positive, require_shape, told_apart
+from jaxir._fields import require_counts
 from jaxir._plausible import EXTENT
 
 
@@ -31,9 +32,8 @@ class Grid(eqx.Module):
         self.spacing = as_float(spacing, "Grid.spacing")
         require_shape("Grid.origin", self.origin, (3,))
         require_shape("Grid.spacing", self.spacing, (3,))
-        if len(shape) != 3 or min(shape) < 1:
-            raise ValueError(f"Grid.shape: got {tuple(shape)}, expected three numbers of cells >= 1")
-        self.shape = (int(shape[0]), int(shape[1]), int(shape[2]))
+        x, y, z = require_counts("Grid.shape", shape, "three numbers of cells", 3)
+        self.shape = (x, y, z)
 
     def centres(self) -> Float[Array, "nx ny nz 3"]:
         """Cell centres [nx, ny, nz, 3] [m]."""
@@ -62,5 +62,6 @@ class Grid(eqx.Module):
         return [
             finite("Grid.origin", self.origin),
             positive("Grid.spacing", self.spacing),
+            told_apart("Grid.origin", self.origin, self.spacing, "cells"),
             EXTENT("Grid: longest side", self.spacing, lambda cell: (cell * np.array(self.shape)).max(axis=-1)),
         ]

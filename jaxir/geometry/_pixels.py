@@ -32,8 +32,8 @@ from jaxir.geometry._ray import Bundle
 
 def pixel_strata(samples: int) -> tuple[int, int]:
     """Columns and rows of strata in a pixel: samples / 2 of them, as square as its divisors allow."""
-    if samples < 2 or samples % 2:
-        raise ValueError(f"samples: got {samples}, expected an even number >= 2 (two points in each stratum)")
+    if not isinstance(samples, int | np.integer) or samples < 2 or samples % 2:
+        raise ValueError(f"samples: got {samples!r}, expected an even number >= 2 (two points in each stratum)")
     half = samples // 2
     rows = max(d for d in range(1, math.isqrt(half) + 1) if half % d == 0)
     return half // rows, rows

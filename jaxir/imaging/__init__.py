@@ -23,11 +23,11 @@ from jaxir.imaging._planning import plan as plan
 from jaxir.imaging._plumes import entering as entering
 from jaxir.imaging._plumes import plume_intensity as plume_intensity
 from jaxir.imaging._repeated import repeats as repeats
-from jaxir.imaging._views import COLUMNS as COLUMNS
 from jaxir.imaging._views import Signature as Signature
 from jaxir.imaging._views import Views as Views
 from jaxir.imaging._views import check_views as check_views
 from jaxir.imaging._views import each_view as each_view
+from jaxir.imaging._views import is_column as is_column
 from jaxir.imaging._views import prepare_views as prepare_views
 from jaxir.imaging._views import remembering as remembering
 from jaxir.imaging._views import signature as signature

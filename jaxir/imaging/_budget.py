@@ -137,7 +137,7 @@ def budget(
         return None if share is None else _product(jnp.abs(intensity), share)
 
     left_out = times(truncation)
-    beyond = none if outside is None else times(ROUGH * outside / (1 - outside))  # of what is seen
+    beyond = none if outside is None else times(_of_what_is_seen(outside))
     assert left_out is not None and beyond is not None
     quadrature = bounces = None
     if asked is not None and not isinstance(intensity, jax.core.Tracer):
@@ -156,4 +156,12 @@ def _total(parts: list[Array]) -> Array:
 @program
 def _product(intensity: Array, share: Array) -> Array:
     share = jnp.broadcast_to(share, intensity.shape)
-    return jnp.where(share > 0, intensity * share, 0)
+    some = (share > 0) & (share < jnp.inf)
+    return jnp.where(some, intensity * jnp.where(some, share, 0), jnp.where(share > 0, jnp.inf, 0))
+
+
+@program
+def _of_what_is_seen(outside: Array) -> Array:
+    """What lies outside of a frame as a share of what is in it; inf where all does."""
+    seen = 1 - outside
+    return jnp.where(seen > 0, ROUGH * outside / jnp.where(seen > 0, seen, 1), jnp.inf)

@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, as_float, enforce, is_traced, on_host, placed
+from jaxir._fields import require_part
 from jaxir._math import at_once, in_kernels, on_cpu
 from jaxir._programs import program
 from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays, turns
@@ -195,6 +196,8 @@ def first_pass(
     components: str | None = None,
 ) -> Pass:
     """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
+    require_parts(scene, method)
+    require_part("camera", camera, Camera, "a camera, e.g. of jaxir.perspective_camera")
     nodes = scene_nodes(scene, bands)
     checks = [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene), *method.node_checks(nodes)]
     nodes = enforce(nodes, checks)
@@ -204,6 +207,12 @@ def first_pass(
     strata = division(samples, not is_traced((lit, camera, key)))
     taken = scattered_for(Pass(lit, camera, key, as_number(0), strata, method, parts_for()), method)
     return taken._replace(components=with_own_media(scene, nodes, method, components_of(scene, method, components)))
+
+
+def require_parts(scene: Any, method: Any) -> None:
+    """`ValueError` unless they are what they are called."""
+    require_part("scene", scene, Scene, "a scene, e.g. jaxir.Scene(skin)")
+    require_part("method", method, Method, "a method, e.g. jaxir.Method(bounces=2)")
 
 
 def scattered_for(taken: Pass, method: Method) -> Pass:

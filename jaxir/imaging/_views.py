@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxir._arrays import as_float, enforce, is_traced, key_or_default, placed
 from jaxir._programs import program
-from jaxir.geometry import Camera, fitted_camera, pixel_strata, view_checks
+from jaxir.geometry import Camera, fitted_camera, in_front, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import (
     Division,
@@ -26,6 +26,7 @@ from jaxir.imaging._chunks import (
     eye_outside,
     parts_for,
     reach_to_eye,
+    require_parts,
     whole_image,
 )
 from jaxir.imaging._devices import over_items, shared_by
@@ -46,8 +47,13 @@ from jaxir.transport import (
     with_scattered,
 )
 
-# Names that tables and their files have, so that no axis of `Signature.axes` may bear them.
-COLUMNS = ("view", "azimuth", "elevation", "band", "component", "intensity", "standard_error")
+# Names that tables have, so that no axis of `Signature.axes` may bear them.
+_COLUMNS = ("view", "azimuth", "elevation", "band", "component", "intensity", "standard_error")
+
+
+def is_column(name: str) -> bool:
+    """Whether tables or their files have a column of that name."""
+    return name.removesuffix("_deg") in _COLUMNS or name.endswith("_W_per_sr")
 
 
 class Signature(eqx.Module):
@@ -304,11 +310,13 @@ def _checked(
     scene: Scene, views: Any, bands: Nodes | Band | Sequence[Band], distance: Any, method: Method
 ) -> tuple[Array, Nodes, Array]:
     """Aspects, nodes and the distance, once all values are in range."""
+    require_parts(scene, method)
     aspect, nodes = as_float(views, "views"), as_nodes(bands)  # range checks need no more
     if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     checks = [*scene.checks_on(nodes), *view_checks(aspect), *method.checks_for(scene), *method.node_checks(nodes)]
-    return aspect, enforce(nodes, checks), as_float(distance, "distance")
+    away = as_float(distance, "distance")
+    return aspect, enforce(nodes, [*checks, in_front("distance", away)]), away
 
 
 @program

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ def metres(unit: Any) -> float:
     """
     if isinstance(unit, str) and unit in METRES:
         return METRES[unit]
-    if isinstance(unit, (int, float)) and not isinstance(unit, bool) and 0 < unit < np.inf:
+    if isinstance(unit, Real) and not isinstance(unit, bool) and 0 < float(unit) < np.inf:
         return float(unit)
     raise ValueError(f"unit: got {unit!r}, expected one of {', '.join(METRES)}, or the unit's metres, a number > 0")
 

@@ -58,8 +58,10 @@ class Skin(eqx.Module):
             ValueError: a part of another kind, per-face arrays of another length than the mesh, or part indices
                 without a name.
         """
-        require_part("Skin.mesh", mesh, "a mesh, e.g. jaxir.Mesh(vertices, faces) or load_mesh(path, unit='m').mesh")
-        require_part("Skin.brdf", brdf, "a brdf, e.g. jaxir.Lambert({})")
+        require_part(
+            "Skin.mesh", mesh, Mesh, "a mesh, e.g. jaxir.Mesh(vertices, faces) or load_mesh(path, unit='m').mesh"
+        )
+        require_part("Skin.brdf", brdf, AbstractBrdf, "a brdf, e.g. jaxir.Lambert({})")
         count = mesh.count
         value = as_float(temperature, "Skin.temperature")
         if value.shape not in ((), (1,), (count,)):
@@ -120,7 +122,7 @@ class Skin(eqx.Module):
                 )
             held = held.at[faces].set(value)
         if brdf is not None:
-            require_part("Skin.brdf", brdf, "a brdf, e.g. jaxir.Lambert({})")
+            require_part("Skin.brdf", brdf, AbstractBrdf, "a brdf, e.g. jaxir.Lambert({})")
             paint = painted_brdf(paint, brdf, faces, self.mesh.count)
         return Skin(self.mesh, held, paint, **new_part(name, faces, np.asarray(self.part), self.part_names))
 

@@ -111,6 +111,13 @@ def test_what_lies_beyond_the_frame_is_told(seen):
     assert float(errors.total[0]) >= told
 
 
+def test_of_a_scene_beside_the_frame_nothing_is_known():
+    scene = jaxir.Scene(jaxir.Skin(box_mesh((8.0, 0.5, 0.5)), 400.0, jaxir.Lambert(0.8)))
+    beside = jaxir.orthographic_camera(90.0, 0.0, (8.1 / 64, 0.6 / 16), (16, 64), (0.0, 0.0, 50.0))
+    errors = jaxir.render(scene, beside, LWIR, samples=2).error_budget()
+    assert float(errors.intensity[0]) == 0 and np.isinf(errors.outside[0]) and np.isinf(errors.total[0])
+
+
 @pytest.mark.parametrize("azimuth, most", [(90.0, 1e-2), (178.0, 0.1)])  # from aside, and into the nozzle
 def test_what_panels_of_thick_jets_err_is_told(azimuth, most):
     def image(panels):

@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxir._arrays import Check, as_float, below, enforce, finite
+from jaxir._arrays import Check, as_float, below, enforce, finite, float_dtype, told_apart
 from jaxir._math import dot
 from jaxir._plausible import EXTENT
 from jaxir.geometry import Bundle, Hit, Rays, corners_of, reattach, unit_normal
@@ -68,7 +68,7 @@ class Mesh(eqx.Module):
                 )
             self.tree, self.closed = None, False
         else:
-            enforce(self.vertices, self.checks())
+            enforce(self.vertices, [*self.checks(), _edges_told(vertices, index)])
             points = np.asarray(self.vertices)
             self.tree = build(points, index) if len(index) > HANDFUL else None
             self.closed = is_closed(points, index)
@@ -122,6 +122,14 @@ class Mesh(eqx.Module):
             below("Mesh.vertices", self.vertices, _LARGEST, "m"),
             EXTENT("Mesh: longest side", self.vertices, lambda points: np.ptp(points, axis=-2).max(axis=-1)),
         ]
+
+
+def _edges_told(vertices: Any, faces: np.ndarray) -> Check:
+    """Coordinates as they were given are told much more finely than the median edge."""
+    corners = np.asarray(vertices, np.float64)[faces]
+    length = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    typical = np.median(length[length > 0]) if length.any() else np.inf
+    return told_apart("Mesh.vertices", np.abs(corners).max().astype(float_dtype()), typical, "edges")
 
 
 def closest_hit(

@@ -134,6 +134,8 @@ def load_flow(
         return own if around is None else around.folded(own)
 
     sampled, covered = _resample(pyvista, source, dict(fields), in_file, low, high, grid.shape, samples)
+    if covered == 0:
+        raise ValueError(f"{file}: no cell of the data holds a point of the grid from {low} m to {high} m")
     volume, centre = _rings(source, around)
     cells = length**3 * volume, placed.to_body(centre, length), low, high
     report = {name: _report(_of_cells(source, name), beyond, sampled[name], *cells) for name, beyond in fields.items()}

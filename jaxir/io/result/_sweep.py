@@ -19,10 +19,10 @@ from jaxtyping import Array, Key
 
 from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default
 from jaxir.imaging import (
-    COLUMNS,
     Signature,
     Views,
     each_view,
+    is_column,
     prepare_views,
     remembering,
     repeats,
@@ -172,8 +172,8 @@ def sweep_states(
     """
     axes = {name: np.atleast_1d(np.asarray(values, np.float64)) for name, values in over.items()}
     for name, values in axes.items():
-        if name in COLUMNS:
-            raise ValueError(f"over: got {name!r}, expected a name that tables do not have: not {', '.join(COLUMNS)}")
+        if is_column(name):
+            raise ValueError(f"over: got {name!r}, expected a name that no column of tables has")
         if values.ndim != 1 or values.size == 0 or not name.isidentifier():
             raise ValueError(f"over: got {name!r} of shape {values.shape}, expected a name with a list of values")
         if np.unique(as_float(values)).size < values.size:

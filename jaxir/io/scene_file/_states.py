@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxir.imaging import COLUMNS
+from jaxir.imaging import is_column
 from jaxir.io.scene_file._entries import Entry, numbers, text
 
 _KEY = re.compile(r"[^.\[\]]+(\[\d+\])*(\.[^.\[\]]+(\[\d+\])*)*")
@@ -112,7 +112,7 @@ def read_states(entry: Entry, whole: Entry) -> States:
 
 
 def _axis(name: str, entry: Entry) -> Axis:
-    if not re.fullmatch(r"[A-Za-z]\w*", name) or name in COLUMNS:
+    if not re.fullmatch(r"[A-Za-z]\w*", name) or is_column(name):
         raise entry.wrong(f"a name of letters, digits and _ that no column has; got {name!r}")
     found = entry.only(["values", "keys", "tables"], ["values"])
     values = np.asarray(numbers(found["values"]), np.float64)

@@ -2,6 +2,7 @@
 
 from jaxir.optics.particle._gray import GrayParticles as GrayParticles
 from jaxir.optics.particle._mie import mie_table as mie_table
+from jaxir.optics.particle._particles import EXAMPLE as EXAMPLE
 from jaxir.optics.particle._particles import AbstractParticles as AbstractParticles
 from jaxir.optics.particle._particles import number_density as number_density
 from jaxir.optics.particle._phase import AbstractPhase as AbstractPhase

@@ -35,6 +35,9 @@ class ParticleOptics(eqx.Module):
     phase: AbstractPhase
 
 
+EXAMPLE = "particles, e.g. jaxir.GrayParticles(extinction, albedo, jaxir.Isotropic())"  # for errors
+
+
 class AbstractParticles(Physical):
     """Particles of one kind, more or fewer of them in each cell."""
 

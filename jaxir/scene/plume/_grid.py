@@ -17,7 +17,7 @@ from jaxir._plausible import KELVIN
 from jaxir.geometry import Crossings, Grid, Pieces, Rays, crossings, pdf_box
 from jaxir.medium import CellMedium, Distance, cell_cuts, medium_optics, optical_depth, sample_in_cells
 from jaxir.optics.gas import AbstractGas
-from jaxir.optics.particle import AbstractParticles
+from jaxir.optics.particle import EXAMPLE, AbstractParticles
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene.plume._plume import AbstractPlume, Proposal
 
@@ -45,10 +45,13 @@ class GridPlume(AbstractPlume):
 
     def __init__(self, grid: Grid, temperature: Any, gas: AbstractGas, particles: AbstractParticles | None = None):
         """Join a grid with its fields; `temperature` may be one value for all cells [K]."""
+        require_part("GridPlume.grid", grid, Grid, "a grid, e.g. jaxir.Grid(origin, spacing, shape)")
+        require_part("GridPlume.gas", gas, AbstractGas, "a gas, e.g. jaxir.GrayGas({})")
+        if particles is not None:
+            require_part("GridPlume.particles", particles, AbstractParticles, EXAMPLE)
         value = as_float(temperature, "GridPlume.temperature")
         if value.shape not in ((), grid.shape):
             raise ValueError(f"GridPlume.temperature: got shape {value.shape}, expected one value or {grid.shape}")
-        require_part("GridPlume.gas", gas, "a gas, e.g. jaxir.GrayGas({})")
         self.grid = grid
         self.temperature = broadcast(value, grid.shape)
         self.gas = gas

@@ -25,7 +25,7 @@ from jaxir.medium import (
     tabulated_jet,
 )
 from jaxir.optics.gas import AbstractGas
-from jaxir.optics.particle import AbstractParticles
+from jaxir.optics.particle import EXAMPLE, AbstractParticles
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene.plume._grid import GridPlume
 from jaxir.scene.plume._plume import AbstractPlume, Proposal, sample_between
@@ -64,7 +64,8 @@ class JetPlume(AbstractPlume):
             `Image.error_budget` tells what they err.
         particles: those in pure exhaust at exit temperature, the same everywhere; they follow the gas. None for none.
 
-    Differentiable in every field but `panels`, its place and shape included.
+    Differentiable in every field but `panels`, once; its place and shape included, but for its ends in images from
+    straight abeam, see docs/limits.md.
     """
 
     nozzle: Float[Array, " 3"] = quantity("m", (3,))
@@ -81,7 +82,9 @@ class JetPlume(AbstractPlume):
 
     def structure(self) -> None:
         """See `Physical.structure`."""
-        require_part("JetPlume.gas", self.gas, "a gas, e.g. jaxir.GrayGas({})")
+        require_part("JetPlume.gas", self.gas, AbstractGas, "a gas, e.g. jaxir.GrayGas({})")
+        if self.particles is not None:
+            require_part("JetPlume.particles", self.particles, AbstractParticles, EXAMPLE)
 
     @property
     def direction(self) -> Float[Array, " 3"]:

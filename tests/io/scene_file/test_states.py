@@ -47,6 +47,8 @@ TWICE = "[over.a]\nvalues = [300]\nkeys = ['skin.temperature']\n[over.b]\nvalues
     [
         ("[over.mach]\nvalues = [1, 1]\nkeys = ['x']", r"over.mach.values: got \[1, 1\], expected different numbers"),
         ("[over.mach]\nvalues = [1]", "over.mach: got .* expected keys or tables"),
+        ("[over.azimuth_deg]\nvalues = [1]\nkeys = ['x']", "expected a name of letters, .* got 'azimuth_deg'"),
+        ("[over.MWIR_W_per_sr]\nvalues = [1]\nkeys = ['x']", "expected a name of letters, .* got 'MWIR_W_per_sr'"),
         ("[over.azimuth]\nvalues = [1]\nkeys = ['x']", "expected a name of letters, .* got 'azimuth'"),
         ("[over.t]\nvalues = [1, 2]\ntables = { 'skin.temperature' = [300.0] }", "expected 2 values, one for each of"),
         ("[over.t]\nvalues = [1]\nkeys = ['sources[3].irradiance']", r"got the key 'sources\[3\].irradiance', .* no 3"),
