@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+COLDEST_AND_HOTTEST = 1e-3, 1e12  # [K]
 FINELY = 30  # parts of an edge or a cell that coordinates must tell
 T = TypeVar("T")
 as_one_program = functools.partial(jax.jit, inline=True)  # of arrays alone: one compilation, and no trace inside others
@@ -185,6 +186,13 @@ def positive(field: str, value: Array) -> Check:
     """`value` is finite and > 0."""
     xp, x = _values(value)
     return Check(field, x, xp.isfinite(x) & (x > 0), "finite values > 0")
+
+
+def thermal(field: str, value: Array) -> Check:
+    """`value` is a temperature > 0 [K], neither so low nor so high that Planck's law leaves single precision."""
+    xp, x = _values(value)
+    low, high = COLDEST_AND_HOTTEST
+    return Check(field, x, (x >= low) & (x <= high), f"finite values > 0, from {low:g} to {high:g} K")
 
 
 def non_negative(field: str, value: Array) -> Check:

@@ -1,6 +1,6 @@
 """Values that are legal and hardly meant, each of which gets one `PlausibilityWarning`.
 
-`usual` stands beside the range of a field where it is declared, `within=(positive, KELVIN)`; `doubt` is for what hangs
+`usual` stands beside the range of a field where it is declared, `within=(thermal, KELVIN)`; `doubt` is for what hangs
 on several fields. `reach` is for what a model was made for: beyond it values are refused, or doubted where the model
 was told to extrapolate. All look at known values on the host alone and are no operations of JAX. Zero is the same in
 every unit and never doubted.

@@ -95,8 +95,13 @@ def by_hand(scene, eye, ways, rtol):
 
 
 def planned(scene, eye, rtol):
-    """What the plan computes: (method, samples) of the pass, and of another one if the first did not do."""
+    """What the plan computes: (method, samples) of the pass, and of another one if the first did not do.
+
+    Where it places rays samples are None: that is a call of `render` by its method, with the look that decides where.
+    """
     found = jaxir.plan(scene, eye, jaxir.LWIR, rtol, key=jax.random.fold_in(jax.random.key(0), 0))  # that of render
+    if "where the others are needed" in found.terms[-1].sentence:
+        return found, [(found.method, None)]
     passes = [(found.method, found.samples)]
     reached = relative_error(look(scene, eye, found.samples, found.method))
     if reached > rtol:
@@ -110,11 +115,14 @@ def with_bounces_of(found, method):
     return dataclasses.replace(jaxir.Method() if method is None else method, bounces=found.bounces)
 
 
-def seconds(scene, eye, passes):
+def seconds(scene, eye, passes, rtol):
     """CPU seconds and seconds."""
     start = time.process_time(), time.perf_counter()
     for number, (method, samples) in enumerate(passes):
-        look(scene, eye, samples, method, number)
+        if samples is None:
+            jax.block_until_ready(jaxir.render(scene, eye, jaxir.LWIR, rtol=rtol, method=method).radiance)
+        else:
+            look(scene, eye, samples, method, number)
     return time.process_time() - start[0], time.perf_counter() - start[1]
 
 
@@ -128,15 +136,15 @@ def compare(name, scene, ways, pixel, rtol):
         return None
     runs = [passes] + [[(ways[way], samples)] for way, samples in hands]
     for run in runs:
-        seconds(scene, eye, run)
-    both = np.array([[seconds(scene, eye, run) for run in runs] for _ in range(REPEATS)])
+        seconds(scene, eye, run, rtol)
+    both = np.array([[seconds(scene, eye, run, rtol) for run in runs] for _ in range(REPEATS)])
     times, wall = both[..., 0], np.median(both[:, 0, 1])
     medians = np.median(times, axis=0)
     best = int(np.argmin(medians[1:]))
     return {
         "scene": name,
         "rtol": rtol,
-        "planned_samples": "+".join(str(samples) for _, samples in passes),
+        "planned_samples": "+".join("placed" if samples is None else str(samples) for _, samples in passes),
         "planned_seconds": medians[0],
         "predicted_over_elapsed": found.seconds / wall,
         "hand": f"{hands[best][0]} {hands[best][1]}".strip(),

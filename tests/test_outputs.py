@@ -161,3 +161,9 @@ def test_an_error_of_a_state_names_the_file_once(tmp_path):
 
     with pytest.raises(ValueError, match=f"^{read.file}: t=1: skin.temperature: got -1$"):
         commands.naming(read, fail)
+
+
+def test_of_a_scene_beside_the_frame_a_warning_tells(tmp_path, capsys):
+    scene = write_scene(tmp_path, TEXT.replace("[camera]", "[camera]\ntarget = [0, 50, 0]"))
+    assert main(["render", str(scene), *SOURCE, "-o", str(tmp_path / "beside.npz")]) == 0
+    assert "scene.toml: the frame leaves out more than can be told" in capsys.readouterr().err

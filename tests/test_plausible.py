@@ -314,3 +314,23 @@ def test_a_bin_beyond_a_table_is_told_what_it_covers_and_what_was_asked(part, co
     asked = r"; asked were 714.29 to 769.23 cm-1 \(13 to 14 um\)"
     with pytest.raises(ValueError, match=f"expected bins inside the table of {covers}{asked}"):
         enforce(jnp.zeros(1), part().node_checks(jaxir.gray_nodes((jaxir.Band("far", 13.0, 14.0),))))
+
+
+@pytest.mark.parametrize("air", [jaxir.StandardAtmosphere(0.0, 1e3, 5e3), jaxir.UniformAtmosphere(1e-4, 5e3)])
+def test_a_path_of_another_length_than_the_way_to_the_eye_is_doubted(air):
+    scene = jaxir.Scene(skin(), atmosphere=air)
+
+    def looks(distance):
+        yield lambda: jaxir.render(scene, jaxir.perspective_camera(0, 0, distance, 1e-4, (2, 2)), jaxir.LWIR)
+        yield lambda: jaxir.signature(scene, [[0.0, 0.0]], jaxir.LWIR, distance=distance)
+
+    for look in looks(2e3):
+        with pytest.warns(
+            jaxir.PlausibilityWarning, match=f"{type(air).__name__}.distance: got 5000.0, expected about"
+        ):
+            look()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for look in looks(5.2e3):
+            look()
+        jaxir.render(scene, jaxir.orthographic_camera(0, 0, 0.5, (2, 2)), jaxir.LWIR)

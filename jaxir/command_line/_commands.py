@@ -84,11 +84,9 @@ def _camera_conditions(name: str, camera: Camera, image: Image) -> dict[str, str
 
 def warn_of_errors(read: SceneFile, errors: ErrorBudget) -> None:
     """Say what is left out beyond sampling, where it is more than 1 %."""
-    scale = np.abs(np.asarray(errors.intensity))
     for part, what in LEFT_OUT.items():
         values = errors.parts[part]
-        lacks = np.zeros_like(scale) if values is None else np.asarray(values)
-        share = float(np.max(np.divide(lacks, scale, out=np.where(np.isinf(lacks), np.inf, 0.0), where=scale > 0)))
+        share = 0.0 if values is None else float(np.max(errors.shares(values)))
         if share > 0.01:
             much = f"about {share:.0%} of the intensity" if share < np.inf else "more than can be told"
             warnings.warn(f"{read.file}: {what} {much}", stacklevel=2)

@@ -98,19 +98,21 @@ class ErrorBudget(eqx.Module):
 
     def described(self) -> str:
         """One line for files: the parts of the worst view of each band, in shares of the intensity."""
-        scale = np.abs(np.asarray(self.intensity, np.float64)).reshape(-1, len(self.bands))
-        scale = np.where(scale > 0, scale, np.inf)
 
         def share(values: Array | None, band: int) -> str:
             if values is None:
                 return "not known"
-            worst = np.max(np.asarray(values, np.float64).reshape(scale.shape)[:, band] / scale[:, band])
-            return f"{worst:.2g}"
+            return f"{np.max(self.shares(values).reshape(-1, len(self.bands))[:, band]):.2g}"
 
         return "; ".join(
             f"{band}: " + ", ".join(f"{name} {share(values, index)}" for name, values in self.written().items())
             for index, band in enumerate(self.bands)
         )
+
+    def shares(self, values: Array) -> Float[np.ndarray, "*view band"]:
+        """Errors as shares of the intensity; 0 of a dark band, unless nothing is known of them."""
+        scale, errors = np.abs(np.asarray(self.intensity, np.float64)), np.asarray(values, np.float64)
+        return np.divide(errors, scale, out=np.where(np.isinf(errors), np.inf, 0.0), where=scale > 0)
 
     def written(self) -> dict[str, Float[Array, "*view band"] | None]:
         """The parts and the total by name, as they go into files."""

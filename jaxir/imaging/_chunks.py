@@ -12,11 +12,11 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
 from jaxir._arrays import Check, as_float, enforce, is_traced, on_host, placed
-from jaxir._fields import require_part
 from jaxir._math import at_once, in_kernels, on_cpu
 from jaxir._programs import program
 from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays, turns
 from jaxir.geometry.search import may_see
+from jaxir.imaging._entry import path_doubts, require_camera, require_parts
 from jaxir.imaging._estimate import Estimate, Seen, Varied, of_strata
 from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes
@@ -197,9 +197,10 @@ def first_pass(
 ) -> Pass:
     """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
     require_parts(scene, method)
-    require_part("camera", camera, Camera, "a camera, e.g. of jaxir.perspective_camera")
+    require_camera(camera)
     nodes = scene_nodes(scene, bands)
     checks = [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene), *method.node_checks(nodes)]
+    checks += path_doubts(scene, camera.inverse_range)
     nodes = enforce(nodes, checks)
     method = method.resolved(scene)
     lit, reach = _prepared(scene, nodes, camera)
@@ -207,12 +208,6 @@ def first_pass(
     strata = division(samples, not is_traced((lit, camera, key)))
     taken = scattered_for(Pass(lit, camera, key, as_number(0), strata, method, parts_for()), method)
     return taken._replace(components=with_own_media(scene, nodes, method, components_of(scene, method, components)))
-
-
-def require_parts(scene: Any, method: Any) -> None:
-    """`ValueError` unless they are what they are called."""
-    require_part("scene", scene, Scene, "a scene, e.g. jaxir.Scene(skin)")
-    require_part("method", method, Method, "a method, e.g. jaxir.Method(bounces=2)")
 
 
 def scattered_for(taken: Pass, method: Method) -> Pass:

@@ -14,7 +14,7 @@ from jax import lax
 from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxir._arrays import as_float, enforce, is_traced, key_or_default, placed
+from jaxir._arrays import as_float, enforce, is_traced, key_or_default, on_host, placed, require
 from jaxir._programs import program
 from jaxir.geometry import Camera, fitted_camera, in_front, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
@@ -26,10 +26,10 @@ from jaxir.imaging._chunks import (
     eye_outside,
     parts_for,
     reach_to_eye,
-    require_parts,
     whole_image,
 )
 from jaxir.imaging._devices import over_items, shared_by
+from jaxir.imaging._entry import path_doubts, require_parts
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._planning import way_for_views
 from jaxir.imaging._repeated import Repeats, repeats, until_met
@@ -316,7 +316,8 @@ def _checked(
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     checks = [*scene.checks_on(nodes), *view_checks(aspect), *method.checks_for(scene), *method.node_checks(nodes)]
     away = as_float(distance, "distance")
-    return aspect, enforce(nodes, [*checks, in_front("distance", away)]), away
+    require([in_front("distance", away)])
+    return aspect, enforce(nodes, [*checks, *path_doubts(scene, 1 / on_host(away)[1])]), away
 
 
 @program

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxir._arrays import Check, as_float, broadcast, positive
+from jaxir._arrays import Check, as_float, broadcast, thermal
 from jaxir._fields import require_part
 from jaxir._plausible import KELVIN
 from jaxir.geometry.search import Mesh
@@ -129,5 +129,5 @@ class Skin(eqx.Module):
     def checks(self) -> list[Check]:
         """Temperatures are positive, vertices finite, the brdf's parameters in range."""
         name = "Skin.temperature"
-        temperature = [positive(name, self.temperature), KELVIN(name, self.temperature)]
+        temperature = [thermal(name, self.temperature), KELVIN(name, self.temperature)]
         return [*self.mesh.checks(), *temperature, *self.brdf.checks()]

@@ -9,7 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, as_one_program, enforce, fraction, increasing, non_negative, positive
+from jaxir._arrays import (
+    Check,
+    as_float,
+    as_one_program,
+    enforce,
+    fraction,
+    increasing,
+    non_negative,
+    positive,
+    thermal,
+)
 from jaxir._fields import Physical, quantity
 from jaxir._plausible import KELVIN, PASCAL, usual
 from jaxir.optics._tables import rows
@@ -41,7 +51,7 @@ class Profile(Physical):
     """
 
     altitude: Float[Array, " level"] = quantity("m", ("level",), increasing, least=2)
-    temperature: Float[Array, " level"] = quantity("K", ("level",), (positive, KELVIN))
+    temperature: Float[Array, " level"] = quantity("K", ("level",), (thermal, KELVIN))
     pressure: Float[Array, " level"] = quantity("Pa", ("level",), positive)
     h2o: Float[Array, " level"] = quantity("1", ("level",), (positive, fraction))
     o3: Float[Array, " level"] = quantity("1", ("level",), (positive, fraction))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, increasing, non_negative, on_host, positive, require
+from jaxir._arrays import Check, increasing, non_negative, on_host, positive, require, thermal
 from jaxir._fields import AbstractSpectrum, quantity
 from jaxir._math import matmul
 from jaxir._plausible import KELVIN, usual
@@ -30,7 +30,7 @@ class BlackbodySpectrum(AbstractSpectrum):
     Differentiable in both.
     """
 
-    temperature: Float[Array, "*batch"] = quantity("K", ("*batch",), (positive, KELVIN))
+    temperature: Float[Array, "*batch"] = quantity("K", ("*batch",), (thermal, KELVIN))
     factor: Float[Array, "*batch"] = quantity("1", ("*batch",), non_negative, default=1.0)
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import non_negative, positive
+from jaxir._arrays import non_negative, thermal
 from jaxir._fields import over_nodes, quantity, spectral
 from jaxir._plausible import KELVIN, usual
 from jaxir.optics.spectrum import Nodes, band_radiance
@@ -27,7 +27,7 @@ class UniformAtmosphere(AbstractAtmosphere):
 
     extinction: Float[Array, " node"] = spectral("m-1")
     distance: Float[Array, ""] = quantity("m", within=(non_negative, _METRES))
-    temperature: Float[Array, ""] | None = quantity("K", within=(positive, KELVIN), default=None)
+    temperature: Float[Array, ""] | None = quantity("K", within=(thermal, KELVIN), default=None)
 
     def on(self, nodes: Nodes) -> AirPath:
         """See `AbstractAtmosphere.on`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, positive
+from jaxir._arrays import Check, thermal
 from jaxir._fields import SpectralLight, light, quantity
 from jaxir._plausible import KELVIN
 from jaxir.optics.spectrum import Nodes, band_radiance
@@ -50,7 +50,7 @@ class BlackbodyBackground(AbstractBackground):
         temperature: [] [K]. Differentiable.
     """
 
-    temperature: Float[Array, ""] = quantity("K", (), (positive, KELVIN))
+    temperature: Float[Array, ""] = quantity("K", (), (thermal, KELVIN))
 
     def on(self, nodes: Nodes) -> UniformBackground:
         """See `AbstractLight.on`: the radiance of the blackbody."""

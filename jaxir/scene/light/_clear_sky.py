@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import Check, as_float, finite, fraction, positive
+from jaxir._arrays import Check, as_float, finite, fraction, thermal
 from jaxir._fields import over_nodes, quantity, spectral
 from jaxir._math import matmul
 from jaxir._plausible import KELVIN
@@ -58,7 +58,7 @@ class ClearSky(AbstractBackground):
     """
 
     altitude: Float[Array, ""] | None = quantity("m", within=(finite, TARGET_ALTITUDE), default=None)
-    ground_temperature: Float[Array, ""] | None = quantity("K", within=(positive, KELVIN), default=None)
+    ground_temperature: Float[Array, ""] | None = quantity("K", within=(thermal, KELVIN), default=None)
     ground_emissivity: Float[Array, " node"] = spectral("1", fraction, default=0.9)
     sun: Sun | None = eqx.field(default=None)
     profile: Profile | None = eqx.field(default=None)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import Check, as_float, broadcast, positive
+from jaxir._arrays import Check, as_float, broadcast, thermal
 from jaxir._fields import quantity, require_part
 from jaxir._plausible import KELVIN
 from jaxir.geometry import Crossings, Grid, Pieces, Rays, crossings, pdf_box
@@ -39,7 +39,7 @@ class GridPlume(AbstractPlume):
     """
 
     grid: Grid
-    temperature: Float[Array, "nx ny nz"] = quantity("K", ("nx", "ny", "nz"), (positive, KELVIN))
+    temperature: Float[Array, "nx ny nz"] = quantity("K", ("nx", "ny", "nz"), (thermal, KELVIN))
     gas: AbstractGas
     particles: AbstractParticles | None
 

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import Check, as_float, as_one_program, positive
+from jaxir._arrays import Check, as_float, as_one_program, positive, thermal
 from jaxir._fields import count, quantity, require_part
 from jaxir._math import frame_around, matmul
 from jaxir._plausible import KELVIN, doubt, usual
@@ -71,8 +71,8 @@ class JetPlume(AbstractPlume):
     nozzle: Float[Array, " 3"] = quantity("m", (3,))
     axis: Float[Array, " 3"] = quantity("1", (3,))
     diameter: Float[Array, ""] = quantity("m", (), (positive, usual(0.01, 10, "m", above="is it in mm?")))
-    exit_temperature: Float[Array, ""] = quantity("K", (), (positive, KELVIN))
-    ambient_temperature: Float[Array, ""] = quantity("K", (), (positive, KELVIN))
+    exit_temperature: Float[Array, ""] = quantity("K", (), (thermal, KELVIN))
+    ambient_temperature: Float[Array, ""] = quantity("K", (), (thermal, KELVIN))
     gas: AbstractGas
     core_length: Float[Array, ""] = quantity("1", (), positive, default=5.0, kw_only=True)
     spreading: Float[Array, ""] = quantity("1", (), positive, default=0.22, kw_only=True)
