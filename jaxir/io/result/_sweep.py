@@ -173,7 +173,7 @@ def sweep_states(
     axes = {name: np.atleast_1d(np.asarray(values, np.float64)) for name, values in over.items()}
     for name, values in axes.items():
         if is_column(name):
-            raise ValueError(f"over: got {name!r}, expected a name that no column of tables has")
+            raise ValueError(f"over: got {name!r}, expected a name that tables do not have")
         if values.ndim != 1 or values.size == 0 or not name.isidentifier():
             raise ValueError(f"over: got {name!r} of shape {values.shape}, expected a name with a list of values")
         if np.unique(as_float(values)).size < values.size:
