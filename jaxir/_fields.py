@@ -133,10 +133,9 @@ class Physical(eqx.Module):
 
     def __check_init__(self) -> None:
         known: dict[str, tuple[int, ...]] = {}
-        optional = {entry.name for entry in dataclasses.fields(self) if entry.default is None}
         for name, declared in _declared(self):
             value = getattr(self, name)
-            if value is None and name in optional:
+            if value is None and self.__dataclass_fields__[name].default is None:
                 continue
             field = f"{type(self).__name__}.{name}"
             if isinstance(value, AbstractSpectrum) and declared.light:

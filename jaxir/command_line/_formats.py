@@ -131,14 +131,15 @@ def targets(outputs: Iterable[Path], camera: str, label: str) -> list[Path]:
 
 def require_targets(scene: Path, outputs: list[Path], cameras: Iterable[str], labels: Iterable[str]) -> None:
     """Raise `ValueError` unless the files of all cameras and quantities can be written, none over one of the scene."""
-    inputs, written = {path.resolve(): name for name, path in inputs_of(scene).items()}, set()
+    inputs, written = {path.resolve() for path in inputs_of(scene).values()}, set()
     for camera, label in itertools.product(cameras, labels):
         for path in targets(outputs, camera, label):
-            if path.resolve() in inputs:
+            place = path.resolve()
+            if place in inputs:
                 raise ValueError(f"-o {path}: got a file that {scene.name} is read from, expected another name")
-            if path.resolve() in written:
+            if place in written:
                 raise ValueError(f"-o {path}: got it twice, expected different files")
-            written.add(path.resolve())
+            written.add(place)
             try:
                 _require_target(path)
             except (OSError, ValueError) as error:

@@ -300,7 +300,8 @@ def orthographic_camera(
 
 def in_front(field: str, distance: Array) -> Check:
     """A distance to an eye is positive; it may be infinite."""
-    return Check(field, distance, distance > 0, "a distance > 0, or inf")
+    _, x = on_host(distance)
+    return Check(field, x, x > 0, "a distance > 0, or inf")
 
 
 def _require_positive(field: str, value: Array) -> None:

@@ -127,9 +127,7 @@ def _cut_by_response(
         if not cut.any():
             break
         middle = (lower[cut] + upper[cut]) / 2
-        ends = np.concatenate([lower, middle]), np.concatenate([np.where(cut, (lower + upper) / 2, upper), upper[cut]])
-        order = np.argsort(ends[0])
-        lower, upper = (each[order] for each in ends)
+        lower, upper = (np.sort(np.concatenate([each, middle])) for each in (lower, upper))  # bins do not overlap
     return lower, upper
 
 
