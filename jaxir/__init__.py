@@ -7,6 +7,7 @@ and how. Fits are in `jaxir.fit`, files in `jaxir.io`.
 # isort: off
 from jaxir._cache import compilation_cache as compilation_cache
 from jaxir._process import compiler_options as compiler_options
+from jaxir._version import __version__ as __version__
 
 # A scene
 from jaxir.scene import Lit as Lit

@@ -142,9 +142,20 @@ def require_precision(*parts: Any) -> None:
                 )
 
 
-def key_or_default(key: Key[Array, ""] | None) -> Key[Array, ""]:
-    """The random key, by default always the same."""
-    return jax.random.key(jax.device_put(np.uint32(0))) if key is None else key
+def key_or_default(key: Any) -> Key[Array, ""]:
+    """The random key, by default always the same; one of `jax.random.PRNGKey` as a typed one.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if key is None:
+        return jax.random.key(jax.device_put(np.uint32(0)))
+    if isinstance(key, jax.Array) and key.dtype == np.uint32 and key.ndim == 1:
+        key = jax.random.wrap_key_data(key)
+    if not isinstance(key, jax.Array) or not jnp.issubdtype(key.dtype, jax.dtypes.prng_key) or key.shape:
+        got = f"{key.dtype} of shape {key.shape}" if isinstance(key, jax.Array | np.ndarray) else repr(key)
+        raise ValueError(f"key: got {got}, expected one key, e.g. jax.random.key(1)")
+    return key
 
 
 def require_shape(field: str, array: Array, expected: tuple[int | str, ...]) -> None:

@@ -30,6 +30,8 @@ from typing import Any
 
 import jax
 
+from jaxir._version import __version__
+
 VARIABLE = "JAXIR_CACHE"
 LIMIT = 2**30
 _SUFFIX = ".program"
@@ -162,7 +164,7 @@ def _processor() -> str:
 
 def _default() -> Path:
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(base).expanduser() / "jaxir" / f"{version('jaxlib')}-{_processor()}-{version('jaxir')}"
+    return Path(base).expanduser() / "jaxir" / f"{version('jaxlib')}-{_processor()}-{__version__.replace(' ', '_')}"
 
 
 def _decide() -> str:

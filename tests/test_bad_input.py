@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 import jaxir
+from jaxir._arrays import key_or_default
 from jaxir._fields import require_counts, require_part
+from jaxir.imaging._devices import shared_by
+from jaxir.imaging._tolerance import require_rtol
 from jaxir.optics.surface import AbstractBrdf
 
 PLATE = ([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], [[0, 1, 2], [0, 2, 3]])
@@ -124,11 +127,25 @@ def _render(scene, camera=None, bands=jaxir.MWIR, **more):
             "Skin.brdf: got <class .*, expected",
         ),
         (lambda: require_part("camera", None, jaxir.Camera, "a camera"), "camera: got a NoneType, expected a camera"),
+        (lambda: _skin(part=[0, 1], part_names=("a", "a")), r"Skin.part_names: got .'a', 'a'., expected different"),
+        (lambda: key_or_default(1), "key: got 1, expected one key"),
+        (
+            lambda: key_or_default(jax.random.split(jax.random.key(0))),
+            r"key: got key<fry> of shape \(2,\), expected one key",
+        ),
+        (lambda: shared_by(jax.devices(), 4, "views"), "devices: got a list, expected a mesh of devices"),
+        (lambda: require_rtol("x"), "rtol: got 'x', expected > 0"),
+        (lambda: require_rtol(None), "rtol: got None, expected > 0"),
     ],
 )
 def test_the_error_names_field_got_and_expected(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+def test_a_key_of_either_kind_draws_the_same():
+    drawn = jax.random.uniform(key_or_default(jax.random.PRNGKey(5)))
+    assert drawn == jax.random.uniform(jax.random.key(5)) != jax.random.uniform(key_or_default(None))
 
 
 @pytest.mark.parametrize("compiled", [eqx.filter_jit, jax.jit])

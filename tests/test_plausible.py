@@ -293,6 +293,10 @@ NEAR = TEXT.replace("orthographic", "perspective").replace("pixel =", "distance 
         (TEXT.replace("[2.0, 0.1]", "[2.0, 0.1, 1.0]"), "ParallelSource.irradiance: got 3 spectral values"),
         (TEXT[: TEXT.index("[camera]")].replace("[2.0, 0.1]", "[2.0, 0.1, 1.0]"), "irradiance: got 3 spectral values"),
         (TEXT[: TEXT.index("[camera]")].replace("0.8", "1.8"), "Lambert.emissivity: got 1.8"),
+        (
+            TEXT + '\n[over.size]\nvalues = [10, -10]\nkeys = ["camera.pixel"]\n',
+            "size=-10: .*pixel: got -10.0, expected finite values > 0",
+        ),
     ],
 )
 def test_show_refuses_what_render_and_signature_would(text, message, tmp_path, capsys):

@@ -206,10 +206,21 @@ def show_command(arguments: argparse.Namespace) -> None:
     outputs = outputs_of(arguments.output, [], SHOW_FORMATS)
     read = read_scene(arguments.scene)
     require_targets(read.file, outputs, [""], [""])
-    naming(read, partial(check, read))
+    naming(read, partial(check_states, read))
     print(read.describe())
     if outputs:
         write(SHOW_FORMATS, outputs, plot.scene_view(read.scene, read.cameras, arguments.colour))
+
+
+def check_states(read: SceneFile) -> None:
+    """`check` of the file, or of all its states."""
+    if read.states is None:
+        return check(read)
+    for state in read.states.every:
+        try:
+            check(read.at(**state))
+        except ValueError as error:
+            raise ValueError(f"{', '.join(f'{axis}={value:g}' for axis, value in state.items())}: {error}") from error
 
 
 def check(read: SceneFile) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import sys
 import warnings
 from functools import cache
 from pathlib import Path
 from typing import NoReturn
 
+from jaxir._version import __version__
 from jaxir.command_line._commands import film_command, render_command, show_command, signature_command
 from jaxir.command_line._formats import FILM_FORMATS, RENDER_FORMATS, REPORT_FORMATS, SHOW_FORMATS, SIGNATURE_FORMATS
 from jaxir.command_line._quantities import QUANTITIES
@@ -70,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="jaxir", description=DESCRIPTION, epilog=EPILOG, formatter_class=raw, allow_abbrev=False
     )
-    parser.add_argument("--version", action="version", version=f"jaxir {importlib.metadata.version('jaxir')}")
+    parser.add_argument("--version", action="version", version=f"jaxir {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, run, said, formats in (
         ("render", render_command, "radiance images, one for each camera", RENDER_FORMATS),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
+
+from jaxir._version import __version__
 from jaxir.io.result import Conditions
 from jaxir.io.scene_file import SceneFile, load_scene
 from jaxir.quantity import alone, at_target
@@ -40,8 +42,8 @@ def conditions_of(read: SceneFile, quantity: str, began: float, **more: str | in
         "scene": read.file.name,
         "quantity": f"{quantity}: {QUANTITIES[quantity]}",
         **more,
-        "jaxir": importlib.metadata.version("jaxir"),
-        "jax": importlib.metadata.version("jax"),
+        "jaxir": __version__,
+        "jax": jax.__version__,
         "seconds": round(time.perf_counter() - began, 3),
     }
 

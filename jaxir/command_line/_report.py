@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from jaxir import plot
+from jaxir._version import __version__
 from jaxir.command_line._commands import TOLERANCES, warn_of_errors, warn_of_missed
 from jaxir.command_line._formats import REPORT_FORMATS, outputs_of, require_targets, write
 from jaxir.command_line._html import Page
@@ -63,7 +64,8 @@ def report_command(arguments: argparse.Namespace) -> None:
     files = [word for path in outputs for word in ("-o", str(path))]
     words = ["jaxir", "report", str(arguments.scene), *files, *(["-q", quantity] if arguments.quantity else [])]
     made = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    versions = [f"{name} {importlib.metadata.version(name)}" for name in ("jaxir", "jax", "jaxlib", "numpy")]
+    used = [f"{name} {importlib.metadata.version(name)}" for name in ("jax", "jaxlib", "numpy")]
+    versions = [f"jaxir {__version__}", *used]
     page.listed(
         [
             f"command: {shlex.join(words)}",

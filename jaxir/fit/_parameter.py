@@ -161,7 +161,8 @@ class Factor(AbstractParameter):
 
     def read(self, scene: Scene) -> Float[Array, " k"]:
         """See `AbstractParameter.read`: 1."""
-        self.where(scene)  # so that a scene without such leaves is refused at once
+        if not jax.tree.leaves(self.where(scene)):
+            raise TypeError("got no leaf")
         return jnp.ones((1,), float_dtype())
 
     def write(self, scene: Scene, value: Float[Array, " k"]) -> Scene:
@@ -189,9 +190,9 @@ class Coordinates(eqx.Module):
         names = [p.name for p in self.parameters]
         if not names or len(set(names)) != len(names):
             raise ValueError(f"parameters: got names {names}, expected at least one and no name twice")
-        self.sizes = tuple(p.read(start).shape[0] for p in self.parameters)
-        for p in self.parameters:
-            value = p.read(start)
+        values = [_read(p, start) for p in self.parameters]
+        self.sizes = tuple(value.shape[0] for value in values)
+        for p, value in zip(self.parameters, values, strict=True):
             inside = (value > p.bounds.lower) & (value < p.bounds.upper)
             if not isinstance(inside, jax.core.Tracer) and not bool(inside.all()):
                 raise ValueError(
@@ -242,6 +243,14 @@ class Coordinates(eqx.Module):
     def slope(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
         """dx/dz of every number at z."""
         return jax.jvp(self.values, (z,), (jnp.ones_like(z),))[1]
+
+
+def _read(parameter: AbstractParameter, start: Scene) -> Float[Array, " k"]:
+    """Its value at the start, or `ValueError` where the scene has not what `where` picks."""
+    try:
+        return parameter.read(start)
+    except (AttributeError, IndexError, TypeError) as error:
+        raise ValueError(f"{parameter.name}: where: {error}, expected arrays that the scene has") from error
 
 
 def at_bounds(coordinates: Coordinates, values: Float[Array, " p"]) -> tuple[str, ...]:

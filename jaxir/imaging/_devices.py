@@ -23,12 +23,13 @@ from tqdm import tqdm
 
 from jaxir._arrays import is_traced, placed
 from jaxir._concurrent import each_of
+from jaxir._fields import require_part
 from jaxir._programs import of_items, program
 
 AXIS = "devices"
 
 
-def shared_by(devices: Mesh | None, items: int, what: str) -> Mesh | None:
+def shared_by(devices: Any, items: int, what: str) -> Mesh | None:
     """The devices, if they suit the items.
 
     Args:
@@ -37,10 +38,11 @@ def shared_by(devices: Mesh | None, items: int, what: str) -> Mesh | None:
         what: what they are, for the message.
 
     Raises:
-        ValueError: the mesh has other axes than the one named `AXIS`, or more devices than there are items.
+        ValueError: no mesh, one with other axes than the one named `AXIS`, or with more devices than there are items.
     """
     if devices is None:
         return None
+    require_part("devices", devices, Mesh, f"a mesh of devices, e.g. jax.make_mesh((2,), ('{AXIS}',))")
     if devices.axis_names != (AXIS,):
         raise ValueError(f"devices: got a mesh with the axes {devices.axis_names}, expected the one axis ('{AXIS}',)")
     if devices.size > items:

@@ -227,7 +227,7 @@ def prepare_image(
     if goal is not None and is_traced((scene, camera, key, method)):
         names = [name for name, asked in (("rtol", rtol), ("atol", atol), ("pixel_rtol", pixel_rtol)) if asked]
         said = f"a call outside it, or {', '.join(f'{name}=None' for name in names)}"
-        raise ValueError(f"{', '.join(names)}: got values known only inside jit, expected {said}")
+        raise ValueError(f"{', '.join(names)}: got traced values (inside jit, grad or vmap), expected {said}")
     if pixel_rtol is not None and samples is not None:
         raise ValueError(f"samples: got {samples} beside pixel_rtol, expected None: pixels get what they need")
     least = samples if samples is not None else 8 if goal is None else FEW

@@ -118,7 +118,7 @@ def plan(
     if goal is None:
         raise ValueError("rtol: got None, expected rtol or atol")
     if is_traced((scene, camera, key, method)):
-        raise ValueError("plan: got values known only inside jit, expected a call outside it")
+        raise ValueError("plan: got traced values (inside jit, grad or vmap), expected a call outside it")
     key = key_or_default(key)
     given = Method() if method is None else method
     first = first_pass(scene, camera, bands, key, FEW, given)

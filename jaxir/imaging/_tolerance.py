@@ -130,17 +130,15 @@ def seconds_of(max_seconds: float | None, names: str, asked: bool) -> float:
     """
     if max_seconds is None:
         return math.inf
-    if not max_seconds > 0:
-        raise ValueError(f"max_seconds: got {max_seconds}, expected > 0")
+    _require_positive("max_seconds", max_seconds, "> 0")
     if not asked:
         raise ValueError(f"max_seconds: got {max_seconds} alone, expected {names} beside it")
     return float(max_seconds)
 
 
-def require_rtol(rtol: float, name: str = "rtol") -> None:
+def require_rtol(rtol: Any, name: str = "rtol") -> None:
     """Raise `ValueError` unless the tolerance is positive and the precision in force can hold it."""
-    if not rtol > 0:
-        raise ValueError(f"{name}: got {rtol}, expected > 0")
+    _require_positive(name, rtol, "> 0")
     dtype = float_dtype()
     least = LEAST * float(np.finfo(dtype).eps)
     if rtol < least:
@@ -161,6 +159,17 @@ def tolerance_of(rtol: float | None, atol: float | None) -> Tolerance | None:
     """
     if rtol is not None:
         require_rtol(rtol)
-    if atol is not None and not 0 < atol < math.inf:
-        raise ValueError(f"atol: got {atol}, expected a finite value > 0")
+    if atol is not None:
+        _require_positive("atol", atol, "a finite value > 0", math.inf)
     return None if rtol is None and atol is None else Tolerance(rtol or 0.0, atol or 0.0)
+
+
+def _require_positive(name: str, value: Any, expected: str, below: float = math.nan) -> None:
+    """Raise `ValueError` unless a value is a number > 0, and less than `below` where that is given."""
+    try:
+        number = math.nan if isinstance(value, str | bool) else float(value)
+    except TypeError:
+        number = math.nan
+    if not number > 0 or number >= below:
+        got = repr(value) if isinstance(value, str) else value
+        raise ValueError(f"{name}: got {got}, expected {expected}")

@@ -261,7 +261,9 @@ def prepare_views(
 ) -> Views:
     """Check what `signature` is asked and make it ready; arguments and errors as there."""
     if until is not None and is_traced((scene, views, distance, key, method)):
-        raise ValueError("rtol, atol: got values known only inside jit, expected a call outside it, or neither of them")
+        raise ValueError(
+            "rtol, atol: got traced values (inside jit, grad or vmap), expected a call outside it, or neither of them"
+        )
     given, left = Method() if method is None else method, None
     aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, given)
     lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)

@@ -27,9 +27,11 @@ def written_whole(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary path beside `path` that takes its name when the block ends without an error, else vanishes.
 
     Raises:
-        ValueError: the folder of `path` does not exist.
+        ValueError: the folder of `path` does not exist, or `path` is a folder.
     """
     final = Path(path)
+    if final.is_dir():
+        raise ValueError(f"{final}: is a folder, expected the name of a file")
     if not final.parent.is_dir():
         raise ValueError(f"{final}: the folder {final.parent} does not exist")
     short = os.fsencode(final.name)[:_LONGEST_PART].decode(errors="ignore")  # file systems bound the whole name

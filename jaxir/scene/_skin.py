@@ -55,8 +55,8 @@ class Skin(eqx.Module):
             part_names: names of the parts.
 
         Raises:
-            ValueError: a part of another kind, per-face arrays of another length than the mesh, or part indices
-                without a name.
+            ValueError: a part of another kind, per-face arrays of another length than the mesh, part indices without
+                a name, or a name twice.
         """
         require_part(
             "Skin.mesh", mesh, Mesh, "a mesh, e.g. jaxir.Mesh(vertices, faces) or load_mesh(path, unit='m').mesh"
@@ -83,6 +83,8 @@ class Skin(eqx.Module):
                 f"Skin.part: got indices {index.min()} to {index.max()}, expected 0 to {len(part_names) - 1} "
                 f"for the names {tuple(part_names)}"
             )
+        if len(set(part_names)) < len(part_names):
+            raise ValueError(f"Skin.part_names: got {tuple(part_names)}, expected different names")
         self.part = jax.device_put(index.astype(np.int32))
         self.part_names = tuple(part_names)
 

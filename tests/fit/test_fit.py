@@ -179,6 +179,11 @@ ONE_NUMBER = measured_image(PIXEL, jaxir.MWIR, np.ones((1, 1, 1)), 0.1)
         (lambda m: fit(slab(900, 1), [mole_fraction_scale()], [m]), "mole_fraction_scale: got GrayGas in the plume"),
         (lambda m: fit(slab(900, 1), [particle_loading()], [m]), "particle_loading: got nothing in the plume"),
         (
+            lambda m: fit(slab(900, 1), [Leaf("skin", lambda s: s.skin.temperature)], [m]),
+            "skin: where: 'NoneType' object has no attribute 'temperature', expected arrays that the scene has",
+        ),
+        (lambda m: fit(slab(900, 1), [Factor("air", lambda s: s.atmosphere)], [m]), "air: where: got no leaf"),
+        (
             lambda m: fit(body([0.5] * 3, [300] * 3), [temperature_scale()], [m]),
             "temperature_scale: got nothing as the scene's plume, expected a GridPlume",
         ),

@@ -210,7 +210,7 @@ def save_signature(
     with their standard errors, as `MWIR_skin_W_per_sr` and `MWIR_skin_standard_error_W_per_sr`.
 
     Raises:
-        ValueError: another ending than .csv, or a folder that does not exist.
+        ValueError: another ending than .csv, a folder that does not exist, or bands whose columns have one name.
     """
     require_suffix(path, ".csv")
     others = {name: values for name, values in _columns(errors).items() if name != "sampling_error"}
@@ -222,6 +222,8 @@ def save_signature(
             if signature.parts_error is not None:
                 named[re.sub(r"\W+", "_", name) + "_standard_error_"] = signature.parts_error[:, index]
     columns = [f"{band}_{what}W_per_sr" for band in signature.bands for what in named]
+    if twice := [name for name in columns if columns.count(name) > 1]:
+        raise ValueError(f"bands: got names {signature.bands} that make the column {twice[0]} twice, expected others")
     values = np.stack([np.asarray(part) for part in named.values()], axis=-1)
     with written_whole(path) as part, part.open("w", newline="", encoding="utf-8") as stream:
         stream.writelines(f"# {name}: {_one_line(value)}\r\n" for name, value in (conditions or {}).items())

@@ -110,7 +110,7 @@ def sweep(
         return sweep_states(folder, over, lambda kept, state: sweep(kept, scene(**state), views, bands, **own))
     assert isinstance(scene, Scene)
     if is_traced((scene, views, distance, key, method)):
-        raise ValueError("sweep: got values known only inside jit, expected a call outside it")
+        raise ValueError("sweep: got traced values (inside jit, grad or vmap), expected a call outside it")
     until = repeats(rtol, atol, samples, max_samples, max_seconds)
     chosen = method is None and until is not None
     kept = read_way(Path(folder)) if chosen else method

@@ -35,9 +35,9 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
         The path, in ascending wavenumber.
 
     Raises:
-        ValueError: a column is missing, a line is not numeric, has another number of columns or is cut, wavenumbers
-            do not change in one direction, a transmittance lies outside [0, 1] or a radiance is negative; names file
-            and line.
+        ValueError: a column is missing or there twice, a line is not numeric, has another number of columns or is cut,
+            wavenumbers do not change in one direction, a transmittance lies outside [0, 1] or a radiance is negative;
+            names file and line.
     """
     file = Path(path)
     lines = csv_rows(file)
@@ -50,6 +50,8 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
             f"{file}:{lines[0][0]}: got columns {header}, expected wavenumber_cm-1 or wavelength_um, and transmittance"
         )
     wanted = [spectral, "transmittance", *(["path_radiance"] if "path_radiance" in header else [])]
+    if twice := [name for name in wanted if header.count(name) > 1]:
+        raise ValueError(f"{file}:{lines[0][0]}: got the column {twice[0]} twice, expected every column once")
     table = _Table(file)
     for number, cells in lines[1:]:
         if len(cells) != len(header):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, finite, require
-from jaxir._fields import quantity
+from jaxir._fields import quantity, require_part
 from jaxir._plausible import ELEVATION, usual
 from jaxir.optics._tables import COLD_PATH_EDGES
 from jaxir.optics.air import Profile, air_along, path_emission, path_transmittance, to_sky, us_standard_1976
@@ -18,8 +18,11 @@ TARGET_ALTITUDE = usual(-500, 20e3, "m", above="nearly all air is below")
 
 
 def or_us_standard(profile: Profile | None) -> Profile:
-    """A profile, or the US Standard Atmosphere 1976."""
-    return us_standard_1976() if profile is None else profile
+    """A profile, or the US Standard Atmosphere 1976; `ValueError` for what is none."""
+    if profile is None:
+        return us_standard_1976()
+    require_part("profile", profile, Profile, "a profile, e.g. jaxir.optics.air.us_standard_1976(), or None")
+    return profile
 
 
 class PathToSpace(AbstractAtmosphere):

@@ -47,6 +47,17 @@ def test_signature_table(tmp_path):
     np.testing.assert_allclose(held[:, :2], [(0.0, 0.0), (30.0, -10.0)], rtol=1e-6)
 
 
+def test_what_would_make_two_columns_of_one_name_or_a_file_of_a_folder_is_refused(tmp_path):
+    bands = jaxir.Band("M", 4.0, 5.0), jaxir.Band("M_standard_error", 8.0, 9.0)
+    table = jaxir.signature(jaxir.Scene(plate()), [(0.0, 0.0)], bands, shape=(16, 16))
+    with pytest.raises(ValueError, match="that make the column M_standard_error_W_per_sr twice"):
+        save_signature(tmp_path / "table.csv", table)
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(ValueError, match="folder.csv: is a folder, expected the name of a file"):
+        save_signature(tmp_path / "folder.csv", dataclasses.replace(table, bands=("M", "L")))
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.csv"]
+
+
 def test_components_are_written_by_name(image, tmp_path):
     xarray = pytest.importorskip("xarray")
     share = np.array([0.75, 0.25], np.float32)[None, None, :, None]

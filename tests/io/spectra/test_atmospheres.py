@@ -196,6 +196,7 @@ def test_csv_by_wavenumber_and_by_wavelength(tmp_path):
         ("wavenumber_cm-1,transmittance\n2000,0.5\n2000.00001,0.5\n", "bad.csv:3: .* twice .in float32"),
         ("wavenumber_cm-1,transmittance\n2000,0.5\n2010," + "5" * 140_000, "bad.csv:3: not readable as CSV"),
         ("wavenumber_cm-1,transmittance\n1,0.5\n2,0.6\n3,0.7\n4,0.8\n5,0.", "bad.csv:6: got '0.' without a line end"),
+        ("wavenumber_cm-1,transmittance,transmittance\n1,1,1\n2,1,1", "bad.csv:1: got the column transmittance twice"),
         ("wavenumber_cm-1,transmittance\n1,1.3e-04\n2,1.4e-04\n3,1.3e-04\n4,1.3", ":5: got '1.3' .* file is cut"),
     ],
 )
