@@ -20,6 +20,7 @@ import tests.checked  # noqa: F401, the hook looks it up by name
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_traceback_in_locations_limit", 1)  # below pytest and checked types stacks are deep: a fifth
 
 MOST_MEMORY = 4e9  # bytes
 
