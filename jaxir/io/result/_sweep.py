@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -87,7 +88,8 @@ def sweep(
         rtol: as `jaxir.signature`, and so on; a view is written when it keeps to it or gives up.
         atol: as `jaxir.signature`.
         max_samples: as `jaxir.signature`.
-        max_seconds: as `jaxir.signature`, of what is left to do; with `over` of every combination.
+        max_seconds: as `jaxir.signature`, of what is left to do, and of each call its own; with `over` of every
+            combination. Views that were written when they ended stay as they are.
         devices: as `jaxir.signature`.
         components: as `jaxir.signature`.
 
@@ -135,7 +137,7 @@ def sweep(
         method=None if chosen else asked.method,
         key=jax.random.key_data(key_or_default(key)),
         **({} if components is None else {"components": components}),
-        **({} if until is None else {"tolerance": until}),
+        **({} if until is None else {"tolerance": until._replace(seconds=math.inf)}),  # it may go on for longer
     )
     files = _Folder(Path(folder), asked)
     count = asked.aspect.shape[0]

@@ -71,6 +71,18 @@ def test_a_killed_sweep_goes_on(tmp_path, computed):
     assert computed == []
 
 
+def test_a_sweep_goes_on_for_longer(tmp_path, computed):
+    """What took so long decides nothing of the numbers; what is asked of them does."""
+    told = {"shape": SHAPE, "samples": 2, "method": jaxir.Method()}
+    sweep(tmp_path / "sweep", *asked(count=1), **told, rtol=0.5, max_seconds=100.0)
+    for longer, new in ((None, {1}), (200.0, set())):
+        del computed[:]
+        sweep(tmp_path / "sweep", *asked(count=2), **told, rtol=0.5, max_seconds=longer)
+        assert set(computed) == new
+    with pytest.raises(ValueError, match="begun"):
+        sweep(tmp_path / "sweep", *asked(count=2), **told, rtol=0.4, max_seconds=100.0)
+
+
 def test_views_may_be_added_at_the_end(tmp_path, computed):
     few = sweep(tmp_path / "sweep", *asked(count=3), shape=SHAPE)
     more = sweep(tmp_path / "sweep", *asked(count=5), shape=SHAPE)
