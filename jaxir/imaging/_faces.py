@@ -34,7 +34,8 @@ def unoccluded_intensity(
     where no face is seen from behind. Backs of faces do not count.
 
     Args:
-        scene: skin, with sources and air if present; no plume. The background is not subtracted.
+        scene: skin, with parallel sources, uniform surroundings and air if present; no plume. What skin reflects of
+            the background counts, what it hides of it is not subtracted.
         azimuth: aspect [deg], see `view_frame`.
         elevation: likewise [deg].
         bands: bands or nodes.
@@ -44,8 +45,8 @@ def unoccluded_intensity(
         Radiant intensity [band] [W sr-1], through the atmosphere's transmittance if there is one.
 
     Raises:
-        ValueError: the scene has a plume or no skin, skin that is neither convex nor plane, or values are out of
-            range.
+        ValueError: the scene has a plume or no skin, skin that is neither convex nor plane, other sources or
+            surroundings, or values are out of range.
 
     Differentiable in every radiometric leaf, in the vertices, and in the aspect.
     """
@@ -53,6 +54,8 @@ def unoccluded_intensity(
         raise ValueError("scene: got a plume or no skin, expected skin alone; use render or signature for plumes")
     if scene.area_sources or any(source.travel is None for source in scene.delta_sources):
         raise ValueError("scene: got sources at a finite distance, expected parallel ones; use render or signature")
+    if uneven := [type(around).__name__ for around in scene.surroundings if not around.uniform]:
+        raise ValueError(f"scene: got a {uneven[0]}, expected uniform surroundings; use render or signature")
     vertices = known(scene.skin.mesh.vertices)
     if not upper_bound and vertices is not None and vertices.ndim == 2:
         if not is_convex(vertices, np.asarray(scene.skin.mesh.faces)):

@@ -248,6 +248,21 @@ def test_the_error_of_what_is_faint_is_not_lost():
     np.testing.assert_allclose(faint.intensity_error() * 1e25, image.intensity_error(), rtol=1e-5)
 
 
+@pytest.mark.parametrize("brdf", [jaxir.Lambert(0.4), jaxir.RoughConductor(1.5, 7.0, 0.2)])
+@pytest.mark.parametrize("seen", [True, False])
+def test_faces_reflect_what_surrounds_them(brdf, seen):
+    """A furnace: with surroundings as warm as itself skin looks black."""
+    around = jaxir.BlackbodyBackground(300.0)
+    lights = {"background": around} if seen else {"sources": (around,)}
+    scene = jaxir.Scene(jaxir.Skin(box_mesh(), 300.0, brdf), **lights)
+    black = jaxir.Scene(jaxir.Skin(box_mesh(), 300.0, jaxir.Lambert(1.0)))
+    got, known = (jaxir.unoccluded_intensity(s, 40.0, 25.0, BANDS) for s in (scene, black))
+    np.testing.assert_allclose(got, known, rtol=1e-4)
+    uneven = jaxir.Scene(black.skin, background=jaxir.ElevationTable([-90.0, 90.0], [1.0, 2.0]))
+    with pytest.raises(ValueError, match="got a ElevationTable, expected uniform surroundings"):
+        jaxir.unoccluded_intensity(uneven, 40.0, 25.0, BANDS)
+
+
 def test_a_graphics_card_would_draw_the_same_image(monkeypatch):
     """In its order of computing; an image of one tile has the same random numbers there."""
     body = jaxir.Skin(box_mesh((1.0, 1.2, 0.8), (0.3, 0.0, 0.0)), 300.0, jaxir.Lambert(0.6))
