@@ -14,12 +14,14 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
 from jaxir._cache import keep, kept
+from jaxir._math import frame_around, matmul
 from jaxir._programs import program
 from jaxir.geometry import Rays
 from jaxir.optics.spectrum import (
     RESOLUTIONS,
     Band,
     Nodes,
+    Resolution,
     as_bands,
     band_radiance,
     finer_nodes,
@@ -33,10 +35,12 @@ from jaxir.scene.light import area_sources, backgrounds, delta_sources
 
 RTOL = 0.02  # of the in-band results of probing rays, against the finest nodes
 *TRIED, FINEST = RESOLUTIONS  # the finest, of 12 quantiles, is what others are compared with
+FEW_BINS = 12  # of which the means of few quantiles err too much, and many cost little
+*MORE, FINER = Resolution(50.0, 16, 10), Resolution(50.0, 32, 12)  # tried for so few, and what they are compared with
 UNKNOWN = RESOLUTIONS[4]  # where the scene's values are not known yet
 KEPT = 32  # choices
 _ACROSS = 6  # rows and columns of probing rays in each direction
-_DIRECTIONS = np.array([[0.0, 1.0, 0.0], [0.8, 0.6, 0.0], [0.96, 0.0, 0.28]])
+_DIRECTIONS = np.array([[1.0, 0.0, 0.0], [0.6, 0.0, 0.8], [0.0, 0.28, 0.96], [0.12, 0.09, 0.98868]])  # z along plumes
 
 
 def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
@@ -44,9 +48,10 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
 
     Nodes are taken as they are. Bands become one gray node each where neither their response nor anything in the scene
     depends on the wavenumber inside them (`Physical.has_spectrum`). Else they become the fewest of `RESOLUTIONS` with
-    which 36 rays in each of three directions through the plumes, before darkness and before the skin's mean and highest
-    temperature, through the air, give every band's mean radiance within `RTOL` of that on the finest; `Nodes.error`
-    keeps what they err.
+    which 36 rays in each of four directions through the plumes, from across to nearly along them, before darkness and
+    before the skin's mean and highest temperature, through the air, give every band's mean radiance within `RTOL` of
+    that on the finest; `Nodes.error` keeps what they err. Bands of at most `FEW_BINS` bins are compared with nodes of
+    32 quantiles.
     All candidates are tried by one program: coarser ones are padded with nodes of weight 0. A grid of more than some
     thousand cells is probed on every few of them.
 
@@ -83,7 +88,7 @@ def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:
     place, error = _fewest(scene, bands) if held is None else json.loads(held)
     if held is None and own:
         keep(key, json.dumps([place, error.tolist()]).encode())
-    return with_error(_candidates(bands)[place], np.asarray(error))
+    return with_error(_candidates(bands)[0][place], np.asarray(error))
 
 
 def _is_own(structure: jax.tree_util.PyTreeDef) -> bool:
@@ -131,18 +136,20 @@ def _apart(results: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.max(np.abs(results - others) / np.where(np.abs(others) > 0, np.abs(others), 1), axis=0)
 
 
-def _candidates(bands: tuple[Band, ...]) -> list[Nodes]:
-    """From few nodes to many: gray ones, those of `TRIED`."""
-    tries = [resolved_nodes(bands, *resolution) for resolution in TRIED]
-    return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count)]
+def _candidates(bands: tuple[Band, ...]) -> tuple[list[Nodes], Nodes]:
+    """From few nodes to many, gray ones first, and what they are compared with."""
+    few = resolved_nodes(bands, FINEST.width, 1, 0).count <= FEW_BINS
+    tried, finest = ((*TRIED, FINEST, *MORE), FINER) if few else (TRIED, FINEST)
+    tries = [resolved_nodes(bands, *resolution) for resolution in tried]
+    return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count)], resolved_nodes(bands, *finest)
 
 
 def _fewest(scene: Scene, bands: tuple[Band, ...]) -> tuple[int, np.ndarray]:
     """`scene_nodes` of known values: which of `_candidates`, and its error [band]."""
-    coarse, finest = _coarse(scene), resolved_nodes(bands, *FINEST)
+    coarse, (candidates, finest) = _coarse(scene), _candidates(bands)
     true = _results(coarse, finest, finest.count)
     errors: list[np.ndarray] = []
-    for nodes in _candidates(bands):
+    for nodes in candidates:
         errors.append(_apart(_results(coarse, nodes, finest.count), true))
         if np.all(errors[-1] <= RTOL):
             break
@@ -167,7 +174,8 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
         behind = jnp.concatenate([dark, jax.vmap(lambda t: band_radiance(t, nodes))(warm)])
     if lit.medium is None:
         return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([behind[1:] if len(behind) > 1 else behind, *lights])))
-    corners = scene.extent()
+    frame = _about_plumes(scene)
+    corners = matmul(scene.extent(), frame.T)
     low, high = corners.min(axis=0), corners.max(axis=0)
     place = (np.indices((_ACROSS, _ACROSS)).reshape(2, -1).T + 0.5) / _ACROSS
     through = np.full((len(_DIRECTIONS), len(place), 3), 0.5)
@@ -175,13 +183,26 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
         own[:, np.arange(3) != np.argmax(np.abs(toward))] = place
     direction = as_float(np.repeat(np.asarray(_DIRECTIONS), len(place), axis=0))
     back = jnp.sqrt(jnp.sum((high - low) ** 2))
-    rays = Rays(low[None] + as_float(through.reshape(-1, 3)) * (high - low)[None] - back * direction, direction)
+    origin = low[None] + as_float(through.reshape(-1, 3)) * (high - low)[None] - back * direction
+    rays = Rays(matmul(origin, frame), matmul(direction, frame))
     far = jnp.full(rays.count, jnp.inf, low.dtype)
     unlit = jnp.broadcast_to(dark, (rays.count, nodes.count))
     each = (lit.medium.transmittance(rays, far), lit.medium.radiance(rays, far, unlit))
     passed, shine = (x.reshape(len(_DIRECTIONS), -1, nodes.count).mean(axis=1)[:, None] for x in each)
     seen = (shine + passed * behind[None]).reshape(-1, nodes.count)
     return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([*lights, seen])))
+
+
+def _about_plumes(scene: Scene) -> Float[Array, "3 3"]:
+    """Unit vectors as rows, the last along the plumes: that in which their corners are farthest apart."""
+    corners = jnp.concatenate([plume.extent() for plume in scene.plumes])
+    apart = corners - corners.mean(axis=0, keepdims=True)
+    spread = matmul(apart.T, apart)
+    for _ in range(6):  # of its powers the largest direction is left
+        spread = spread / jnp.trace(spread)
+        spread = matmul(spread, spread)
+    axis = spread[jnp.argmax(jnp.diagonal(spread))]
+    return frame_around(axis / jnp.sqrt(jnp.sum(axis**2)))
 
 
 def _lights(scene: Scene, lit: Lit) -> list[Float[Array, "_light node"]]:
