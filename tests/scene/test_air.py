@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxir.optics.air import (
+    EARTH_RADIUS,
     Profile,
     air_pressure,
     air_temperature,
@@ -99,6 +100,18 @@ def test_round_earth(x64):
     assert float(slant_range(jnp.asarray(0.0), jnp.asarray(1e3), jnp.asarray(90.0))) == pytest.approx(112.9e3, rel=1e-3)
     along = altitude_along(jnp.asarray(10e3), jnp.asarray(10e3), jnp.asarray(100e3), jnp.asarray([0.0, 0.5, 1.0]))
     assert np.allclose(along, [10e3, 10e3 - 50e3**2 / 2 / 6.381e6, 10e3], atol=0.1)
+
+
+def test_a_sensor_that_looks_down_meets_what_is_below(x64):
+    for above, below, zenith in ((3e3, 0.0, 95.0), (12e3, 3e3, 120.0), (3e3, 0.0, 180.0)):
+        reach = slant_range(above, below, zenith)
+        cosine = np.cos(np.deg2rad(zenith))
+        height = np.sqrt((EARTH_RADIUS + above) ** 2 + reach**2 + 2 * (EARTH_RADIUS + above) * reach * cosine)
+        assert float(height) - EARTH_RADIUS == pytest.approx(below, abs=1e-3)
+        assert reach < (EARTH_RADIUS + above) * abs(cosine) * (1 + 1e-9)  # the nearer of two points
+    for above, below, zenith in ((0.0, 1e3, 120.0), (3e3, 0.0, 80.0), (1e4, 0.0, 90.5)):
+        with pytest.raises(ValueError, match=f"zenith: got {zenith}, expected an angle at which the line meets"):
+            slant_range(above, below, zenith)
 
 
 def test_standard_atmosphere_gradients(x64):

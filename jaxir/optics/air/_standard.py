@@ -10,14 +10,14 @@ and the path emits L = int B(T) d(transmittance) as seen from the sensor. On 60 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import as_float, as_one_program
+from jaxir._arrays import Check, as_float, as_one_program, enforce
 from jaxir._math import einsum, matmul
 from jaxir.optics._slots import ColdCells, cell_shares, co2_slots, cold_cells, tabled
 from jaxir.optics._tables import COLD_PATH_EDGES, COLD_PATH_SPECIES, cold_path, overlap_matrix
@@ -50,26 +50,42 @@ class PathAir(NamedTuple):
     state: Float[Array, "2 half"]
 
 
-def slant_range(
-    sensor_altitude: Float[Array, ""], target_altitude: Float[Array, ""], zenith: Float[Array, ""]
-) -> Float[Array, ""]:
+def slant_range(sensor_altitude: Any, target_altitude: Any, zenith: Any) -> Float[Array, ""]:
     """Distance to the first point at the target's altitude along a straight line over the round earth.
 
     Args:
         sensor_altitude: [m].
-        target_altitude: above the sensor [m].
-        zenith: angle at the sensor between the vertical and the line, up to 90 degrees [degree].
+        target_altitude: [m]; below the sensor where that looks down.
+        zenith: angle at the sensor between the vertical and the line [degree]: up to 90 to a target above it, beyond 90
+            to one below it.
 
     Returns:
         Distance [m].
 
+    Raises:
+        ValueError: the line does not meet the target's altitude.
+
     Differentiable in all three.
     """
+    angle = as_float(zenith, "zenith")
+    distance, met = _first_at(as_float(sensor_altitude), as_float(target_altitude), angle)
+    expected = "an angle at which the line meets the target's altitude: up to 90 if that is above, beyond if below"
+    return enforce(distance, [Check("zenith", angle, met, expected)])
+
+
+@as_one_program
+def _first_at(
+    sensor_altitude: Float[Array, ""], target_altitude: Float[Array, ""], zenith: Float[Array, ""]
+) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """Distance to the first of two points at an altitude, and whether the line meets them."""
     radius = EARTH_RADIUS + sensor_altitude
     rise = target_altitude - sensor_altitude
     along = radius * jnp.cos(jnp.deg2rad(zenith))
-    free = rise * (2 * radius + rise)  # of the two roots the one without cancellation
-    return free / (along + jnp.sqrt(along**2 + free))
+    free = rise * (2 * radius + rise)
+    square = along**2 + free
+    half = jnp.sqrt(jnp.maximum(square, 0))
+    met = (square >= 0) & (zenith >= 0) & (zenith <= 180) & jnp.where(rise >= 0, zenith <= 90, zenith > 90)
+    return free / (along + jnp.where(rise >= 0, half, -half)), met  # of the two roots the one without cancellation
 
 
 @as_one_program
