@@ -93,10 +93,6 @@ def test_the_reference_has_every_name_of_the_package_once():
     top = re.findall(
         r"import \w+ as (\w+)$", (ROOT / "jaxir" / "__init__.py").read_text(encoding="utf-8"), re.MULTILINE
     )
-    apart = {
-        "alone",
-        "at_target",
-        "__version__",
-    }  # of the room `quantity`, which is shown whole, and no part of the API
+    apart = {"alone", "at_target", "__version__"}  # in `quantity`, which is shown whole, and no part of the API
     assert len(top) > 80
     assert [name for name in top if shown.count(name) != 1 and name not in apart] == []

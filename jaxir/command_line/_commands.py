@@ -30,7 +30,6 @@ from jaxir.command_line._formats import (
 from jaxir.command_line._quantities import conditions_of, named, naming, quantities_of, read_scene, scene_of
 from jaxir.geometry import Camera
 from jaxir.imaging import ErrorBudget, Image, Outcome, Signature, check_views, prepare_image, render, signature
-from jaxir.io._files import labels
 from jaxir.io.result import require_full_table, sweep, sweep_states
 from jaxir.io.scene_file import SceneFile
 from jaxir.optics.spectrum import as_nodes
@@ -162,7 +161,7 @@ def film_command(arguments: argparse.Namespace) -> None:
         raise ValueError(f"{read.file}: got no section over or no camera, expected both for film")
     quantities = quantities_of(arguments)
     require_targets(read.file, outputs, read.cameras, quantities.values())
-    shown = {axis: labels(values, 6) for axis, values in read.states.over.items()}
+    shown = read.states.labels
     for quantity, label in quantities.items():
         films: dict[str, dict[str, Image]] = {}
         kinds: dict[str, tuple[tuple[str, ...], tuple[int, int]]] = {}
@@ -220,7 +219,8 @@ def check_states(read: SceneFile) -> None:
         try:
             check(read.at(**state))
         except ValueError as error:
-            raise ValueError(f"{', '.join(f'{axis}={value:g}' for axis, value in state.items())}: {error}") from error
+            named = ", ".join(f"{axis}={read.states.labels[axis][value]}" for axis, value in state.items())
+            raise ValueError(f"{named}: {error}") from error
 
 
 def check(read: SceneFile) -> None:

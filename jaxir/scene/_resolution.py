@@ -85,10 +85,11 @@ def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:
     """The fewest nodes that do, as an earlier process found or anew."""
     key, own = f"nodes {asked}", _is_own(asked[0])
     held = kept(key) if own else None
-    place, error = _fewest(scene, bands) if held is None else json.loads(held)
+    candidates, finest = _candidates(bands)
+    place, error = _fewest(scene, candidates, finest) if held is None else json.loads(held)
     if held is None and own:
         keep(key, json.dumps([place, error.tolist()]).encode())
-    return with_error(_candidates(bands)[0][place], np.asarray(error))
+    return with_error(candidates[place], np.asarray(error))
 
 
 def _is_own(structure: jax.tree_util.PyTreeDef) -> bool:
@@ -144,9 +145,9 @@ def _candidates(bands: tuple[Band, ...]) -> tuple[list[Nodes], Nodes]:
     return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count)], resolved_nodes(bands, *finest)
 
 
-def _fewest(scene: Scene, bands: tuple[Band, ...]) -> tuple[int, np.ndarray]:
+def _fewest(scene: Scene, candidates: list[Nodes], finest: Nodes) -> tuple[int, np.ndarray]:
     """`scene_nodes` of known values: which of `_candidates`, and its error [band]."""
-    coarse, (candidates, finest) = _coarse(scene), _candidates(bands)
+    coarse = _coarse(scene)
     true = _results(coarse, finest, finest.count)
     errors: list[np.ndarray] = []
     for nodes in candidates:

@@ -29,7 +29,6 @@ import numpy as np
 from jaxir._arrays import as_float, enforce
 from jaxir.geometry import Camera
 from jaxir.imaging import render, signature
-from jaxir.io._files import labels
 from jaxir.io.field import load_flow
 from jaxir.io.scene_file._entries import (
     Entry,
@@ -118,7 +117,7 @@ class SceneFile(NamedTuple):
         if "views" in self.signature:
             lines.append(f"signature: {len(self.signature['views'])} views")
         if self.states is not None:
-            axes = ", ".join(f"{name} {' '.join(labels(own, 6).values())}" for name, own in self.states.over.items())
+            axes = ", ".join(f"{name} {' '.join(own.values())}" for name, own in self.states.labels.items())
             lines.append(f"over {axes}: {len(self.states.every)} states")
         return "\n".join(lines)
 

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxir.imaging import is_column
+from jaxir.io._files import labels
 from jaxir.io.scene_file._entries import Entry, numbers, text
 
 _KEY = re.compile(r"[^.\[\]]+(\[\d+\])*(\.[^.\[\]]+(\[\d+\])*)*")
@@ -56,6 +57,11 @@ class States(NamedTuple):
     def every(self) -> list[dict[str, float]]:
         """All states, the last axis fastest."""
         return [dict(zip(self.axes, state, strict=True)) for state in itertools.product(*self.over.values())]
+
+    @property
+    def labels(self) -> dict[str, dict[float, str]]:
+        """The values of every axis as text, by axis and value."""
+        return {name: labels(values, 6) for name, values in self.over.items()}
 
     @property
     def new_keys(self) -> bool:
