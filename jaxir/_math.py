@@ -49,6 +49,10 @@ einsum = functools.partial(jnp.einsum, precision=lax.Precision.HIGHEST)
 tensordot = functools.partial(jnp.tensordot, precision=lax.Precision.HIGHEST)
 
 
+INSIDE: dict[str, Any] = {"mode": "promise_in_bounds", "wrap_negative_indices": False}
+"""Of places known to lie in a table, for `.at[place].get` and `.add`: neither checked nor counted from its end."""
+
+
 @functools.cache
 def gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights [point] of Gauss-Legendre quadrature on [0, 1], on the host in double precision."""

@@ -1,4 +1,7 @@
-"""Small pieces of the search loops, in forms that XLA compiles to native code."""
+"""Small pieces of the search loops, in forms that XLA compiles to native code.
+
+An index is never counted from the end of a table: to ask whether it is below 0 is a tenth of a search's operations.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +21,22 @@ T = TypeVar("T")
 def row(table: Array, index: Int[Array, ""]) -> Array:
     """Row `index` of a table [row, lane], int32 also where integers default to 64 bits."""
     zero = jnp.zeros((), jnp.int32)
-    return lax.dynamic_slice(table, (index, zero), (1, table.shape[1]))[0]
+    return lax.dynamic_slice(table, (index, zero), (1, table.shape[1]), allow_negative_indices=False).reshape(-1)
 
 
 def item(table: Array, *index: Int[Array, ""]) -> Array:
     """One element of a table, as a slice rather than a gather."""
-    return lax.dynamic_slice(table, index, (1,) * table.ndim).reshape(())
+    return lax.dynamic_slice(table, index, (1,) * table.ndim, allow_negative_indices=False).reshape(())
+
+
+def entry(table: Array, index: Int[Array, ""]) -> Array:
+    """Entry `index` of the first axis."""
+    return lax.dynamic_index_in_dim(table, index, keepdims=False, allow_negative_indices=False)
+
+
+def with_entry(table: Array, index: Int[Array, ""], value: Array) -> Array:
+    """The table with another entry `index` of its first axis."""
+    return lax.dynamic_update_index_in_dim(table, value, index, 0, allow_negative_indices=False)
 
 
 def lowest_bit(mask: Int[Array, ""]) -> Int[Array, ""]:
@@ -115,10 +128,10 @@ def where_some(
 
         def block(k: Array, values: Array) -> Array:
             def ray(at: Array, values: Array) -> Array:
-                mine = jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, k * BLOCK + at, keepdims=False), rays)
-                return lax.dynamic_update_index_in_dim(values, function(mine), at, 0)
+                mine = jax.tree.map(lambda x: entry(x, k * BLOCK + at), rays)
+                return with_entry(values, at, function(mine))
 
-            return values.at[k].set(for_each(flags[k], ray, values[k]))
+            return with_entry(values, k, for_each(entry(flags, k), ray, entry(values, k)))
 
         return for_each(jnp.any(flags, axis=1), block, varying(values, value)).reshape(-1)[:count]
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxir._math import on_platform
+from jaxir._math import INSIDE, on_platform
 from jaxir.geometry._loops import in_blocks, varying
 
 
@@ -105,8 +105,8 @@ def corners_of(
 ) -> list[list[Float[Array, " ray"]]]:
     """Coordinate k of corner i of each face, as [i][k]; of face 0 where `face` is -1."""
     near, number = jnp.maximum(face, 0) * 3, vertices.reshape(-1)
-    first = [faces.reshape(-1).at[near + i].get(mode="promise_in_bounds") * 3 for i in range(3)]
-    return [[number.at[at + k].get(mode="promise_in_bounds") for k in range(3)] for at in first]
+    first = [faces.reshape(-1).at[near + i].get(**INSIDE) * 3 for i in range(3)]
+    return [[number.at[at + k].get(**INSIDE) for k in range(3)] for at in first]
 
 
 def unit_normal(corners: list[list[Array]]) -> list[Array]:

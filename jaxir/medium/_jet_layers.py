@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from jaxir._math import INSIDE
 from jaxir.optics import phi1, thinning, through_layer
 
 COMPUTED = 256  # knots at which the optics are computed, 7 K apart between 300 and 2000 K
@@ -171,5 +172,5 @@ def _neighbours(table: Float[Array, "knot node"], fraction: Float[Array, " ray"]
     """The values of a table at the knots below and above [ray, node], and where between them [ray, 1]."""
     place = fraction * KNOTS
     knot = jnp.clip(place.astype(jnp.int32), 0, KNOTS - 1)
-    low, high = (table.at[k].get(mode="promise_in_bounds") for k in (knot, knot + 1))
+    low, high = (table.at[k].get(**INSIDE) for k in (knot, knot + 1))
     return low, high, (place - knot.astype(place.dtype))[:, None]

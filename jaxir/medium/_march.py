@@ -33,6 +33,7 @@ from jax.extend.core import Primitive
 from jaxtyping import Array, Float
 
 from jaxir._arrays import require_shape
+from jaxir._math import INSIDE
 from jaxir.geometry import Grid, Rays, crossings
 from jaxir.medium._primitives import (
     along_active,
@@ -139,9 +140,9 @@ def _radiance_adjoint(extinction, emission, behind, radiance, *rest, shape, wrt)
                 passed = jnp.where(u[k] < SERIES_BELOW, passed - gained * mu[k], kept[k] * passed)
                 passed, remaining = lax.optimization_barrier((passed, remaining))
             if to_extinction is not None:
-                to_extinction = to_extinction.at[flat].add(jnp.concatenate(shares), mode="promise_in_bounds")
+                to_extinction = to_extinction.at[flat].add(jnp.concatenate(shares), **INSIDE)
             if to_emission is not None:
-                to_emission = to_emission.at[flat].add(jnp.concatenate(gains), mode="promise_in_bounds")
+                to_emission = to_emission.at[flat].add(jnp.concatenate(gains), **INSIDE)
             return passed, remaining, (to_extinction, to_emission)
 
         passed, _, sums = fold_threes(route, update, (cotangent, cotangent * radiance, sums))
@@ -172,7 +173,7 @@ def _depth_adjoint(*operands, shape):
 
     def chunk(total, route, cotangent):
         def update(total, cell, length):
-            return total.at[cell].add(length[:, None] * cotangent, mode="promise_in_bounds")
+            return total.at[cell].add(length[:, None] * cotangent, **INSIDE)
 
         return fold(route, update, total, near_to_far=True), ()
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array
 
-from jaxir._math import on_cpu
+from jaxir._math import INSIDE, on_cpu
 from jaxir.geometry import Grid, Segments, Walk, slab_segments, start_walk
 
 CHUNK = 128  # consecutive rays carried together: enough to fill the vector units, few enough to stay alike
@@ -142,7 +142,9 @@ def fold_threes(route: Walk | Listed, update: Callable, state: Any) -> Any:
     if isinstance(route, Listed):
 
         def cross(i, state):
-            cell, length = (lax.dynamic_slice_in_dim(part, 3 * i, 3) for part in route[:2])
+            cell, length = (
+                lax.dynamic_slice_in_dim(part, 3 * i, 3, allow_negative_indices=False) for part in route[:2]
+            )
             return update(state, cell, length)
 
         return lax.fori_loop(0, (route.longest + 2) // 3, cross, state)
@@ -163,7 +165,7 @@ def beside(length: Array, like: Array) -> Array:
 
 def rows(field: Array, cell: Array) -> Array:
     """Rows [ray, node] of `field` [cell, node]; neither walks nor lists leave the grid."""
-    return field.at[cell].get(mode="promise_in_bounds")
+    return field.at[cell].get(**INSIDE)
 
 
 def alone(*arrays: Array) -> tuple[Array, ...]:

@@ -153,9 +153,10 @@ def see(
     boxes, children = [], []
     for level_boxes, level_children in zip(tree.boxes, tree.children, strict=True):
         nodes = level_children.shape[0] // 8
-        sorted_boxes = lax.dynamic_slice_in_dim(level_boxes, first * nodes, nodes)
+        sorted_boxes = lax.dynamic_slice_in_dim(level_boxes, first * nodes, nodes, allow_negative_indices=False)
         boxes.append(project_boxes(sorted_boxes, travel, shift, inverse_range))
-        children.append(lax.dynamic_slice_in_dim(level_children, first * nodes, nodes))
+        own = lax.dynamic_slice_in_dim(level_children, first * nodes, nodes, allow_negative_indices=False)
+        children.append(own)
     grains = 1 / _grain(tree, travel, shift, inverse_range)
     return SeenTree(tuple(boxes), tuple(children), tree.leaves, tree.face, travel, shift, grains, inverse_range)
 
