@@ -38,6 +38,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Int
 
 from jaxir._arrays import as_float
@@ -157,9 +158,17 @@ def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths], Array]) -> Po
     def toward(own: Array) -> Rays:
         return Rays(point, jnp.broadcast_to(-own, point.shape))
 
-    groups = -(-nodes // TOGETHER)
-    length = lax.map(lambda own: length_of(lit.scene, toward(own)), jnp.concatenate([direction, among]))
+    groups, every = -(-nodes // TOGETHER), jnp.concatenate([direction, among])
+    length = lax.map(lambda own: length_of(lit.scene, toward(own)), every)
     level = level_of(lit, length)
+    lobes = block_diag(by_direction, by_among).reshape(len(every), 2, -1)  # what is hidden is summed for either rule
+
+    def hidden_in(total: Array, own: tuple[Array, Array, Array]) -> tuple[Array, None]:
+        hidden = 1 - medium.transmittance(toward(own[0]), own[2])
+        return total + own[1][:, None, :, None] * hidden[None, :, None], None
+
+    none = jnp.zeros((point.shape[0], by_direction.shape[1], nodes), point.dtype)
+    hidden, all_hidden = lax.scan(hidden_in, jnp.stack([none, none]), (every, lobes, length))[0]
     length, length_among = length[: len(direction)], length[len(direction) :]
 
     def grouped(of_nodes: Array) -> Array:
@@ -168,27 +177,18 @@ def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths], Array]) -> Po
         filled = jnp.pad(of_nodes, [(0, 0)] * (of_nodes.ndim - 1) + [(0, groups * many - nodes)])
         return jnp.moveaxis(filled.reshape(*of_nodes.shape[:-1], groups, many), -2, 0)
 
-    def moments_of(lobes: Array, came: Array) -> Array:
-        return lobes[None, :, None] * came[:, None]
-
-    def ahead(total: tuple[Array, list[Array]], own: tuple[Array, Array, Array]) -> tuple[Any, list]:
-        rays = toward(own[0])
-        hidden, scattered = total
-        hidden = hidden + moments_of(own[1], 1 - medium.transmittance(rays, own[2]))
-        steps = _ahead(medium, list(zip(parts, lattices, strict=True)), rays, own[2])
+    def ahead(scattered: list[Array], own: tuple[Array, Array, Array]) -> tuple[list[Array], list]:
+        steps = _ahead(medium, list(zip(parts, lattices, strict=True)), toward(own[0]), own[2])
         scattered = [all_ + own[1][0] * passed.sum(axis=1) for all_, (_, passed) in zip(scattered, steps, strict=True)]
-        return (hidden, scattered), [(between, grouped(passed)) for between, passed in steps]
+        return scattered, [(between, grouped(passed)) for between, passed in steps]
 
-    def beyond(total: tuple[Array, Array], own: tuple[Array, Array, Array]) -> tuple[Any, None]:
+    def beyond(total: Array, own: tuple[Array, Array, Array]) -> tuple[Array, None]:
         rays = toward(own[0])
         came = medium.radiance(rays, own[2], level.toward(lit, rays.direction))
-        hidden = 1 - medium.transmittance(rays, own[2])
-        return (total[0] + moments_of(own[1], came), total[1] + moments_of(own[1], hidden)), None
+        return total + own[1][None, :, None] * came[:, None], None
 
-    none = jnp.zeros((point.shape[0], by_direction.shape[1], nodes), point.dtype)
-    start = none, [none[:, 0]] * len(parts)
-    (hidden, scattered), routes = lax.scan(ahead, start, (direction, by_direction, length))
-    (unscattered, all_hidden), _ = lax.scan(beyond, (none, none), (among, by_among, length_among))
+    scattered, routes = lax.scan(ahead, [none[:, 0]] * len(parts), (direction, by_direction, length))
+    unscattered = lax.scan(beyond, none, (among, by_among, length_among))[0]
     unscattered = unscattered + entering(lit, method, point, order, level, behind)
     some = hidden[:, 0] > 0
     albedo = [jnp.where(some, each / jnp.where(some, hidden[:, 0], 1), 0) for each in scattered]
@@ -200,7 +200,7 @@ def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths], Array]) -> Po
     straight = [_of_beams(*each, order) for each in zip(parts, lattices, beams, strict=True) if each[-1]]
     scale = functools.reduce(jnp.maximum, [jnp.max(jnp.abs(light), axis=(0, 1)) for light in (unscattered, *straight)])
     scale = lax.stop_gradient(jnp.where(scale > 0, scale, 1))[None, None]
-    every = Groups(
+    equations = Groups(
         grouped(unscattered / scale),
         [grouped(light / scale) for light in straight],
         [grouped(own.rest) for own in moments],
@@ -208,7 +208,7 @@ def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths], Array]) -> Po
         grouped(all_hidden - hidden),
         [grouped(own) for own in albedo],
     )
-    return Posed(given, medium, beams, moments, where, every, scale)
+    return Posed(given, medium, beams, moments, where, equations, scale)
 
 
 def lattices_of(medium: AbstractMedium, ordinates: DiscreteOrdinates) -> list[Lattice]:
@@ -297,7 +297,11 @@ def _beam(
     corner = as_float(np.concatenate([place + step * np.array(corner) for corner in CORNERS]))
     many = part.from_cube(corner)
     omega, distance = jax.vmap(source.toward)(many)
-    passed, of_given = (one.transmittance(Rays(many, omega), distance) for one in (medium, given))
+    (own, rest), (whole, _) = (eqx.partition(one, eqx.is_array) for one in (medium, given))
+    passed, of_given = lax.map(  # one program for both
+        lambda one: eqx.combine(one, rest).transmittance(Rays(many, omega), distance),
+        jax.tree.map(lambda *both: jnp.stack(both), own, whole),
+    )
     scattering = lax.stop_gradient(part.scattering_at(many).max(axis=1)).reshape(len(CORNERS), len(place), 1)
     total = scattering.sum(axis=0, keepdims=True)
     weight = jnp.where(total > 0, scattering, 1) / jnp.where(total > 0, total, len(CORNERS))
