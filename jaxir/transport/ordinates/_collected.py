@@ -33,6 +33,11 @@ def collected(
     return collected_p.bind(place, share, passed, lobe, table, rows=table.shape[0])[0]
 
 
+def _pair(rows: Array, first: Array) -> Array:
+    """Two rows that follow one another."""
+    return lax.dynamic_slice_in_dim(rows, first, 2, allow_negative_indices=False)
+
+
 def _over_steps(share: Array, one: Callable[[Array, Array, Array], Array], begin: Array, ray: Array) -> Array:
     """`one(ray, step, carried)` for all steps of a ray that have shares."""
 
@@ -79,7 +84,7 @@ def _ray_by_ray(place: Array, share: Array, passed: Array, lobe: Array, table: A
     flat = table.reshape(rows, -1)
 
     def add(i: Array, s: Array, total: Array) -> Array:
-        pairs = [(share[i, s, k], lax.dynamic_slice_in_dim(flat, place[i, s, k], 2)) for k in range(share.shape[2])]
+        pairs = [(share[i, s, k], _pair(flat, place[i, s, k])) for k in range(share.shape[2])]
         near = [both[0] * rows[0] + both[1] * rows[1] for both, rows in pairs]
         row = lax.optimization_barrier(sum(near[1:], near[0]))  # else all pairs are read anew for every harmonic
         each = [lobe[i, h] * row[h * nodes : (h + 1) * nodes] for h in range(harmonics)]
@@ -96,8 +101,8 @@ def _spread_by_ray(place: Array, share: Array, passed: Array, lobe: Array, out: 
         given = lax.optimization_barrier((lobe[i][:, None] * (out[i] * passed[i, s])[None]).reshape(-1))
         for k in range(share.shape[2]):
             at = place[i, s, k]
-            held = lax.dynamic_slice_in_dim(table, at, 2) + share[i, s, k][:, None] * given[None]
-            table = lax.dynamic_update_slice_in_dim(table, held, at, 0)
+            held = _pair(table, at) + share[i, s, k][:, None] * given[None]
+            table = lax.dynamic_update_slice_in_dim(table, held, at, 0, allow_negative_indices=False)
         return table
 
     none = jnp.zeros((rows, lobe.shape[1] * out.shape[1]), out.dtype)

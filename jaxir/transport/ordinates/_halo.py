@@ -28,7 +28,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
-from jaxir._math import einsum
+from jaxir._math import INSIDE, einsum
 
 DEGREE = 384  # of the moments: lobes down to a degree
 ANGLES = 128  # at which it is tabulated, crowded where light goes straight on
@@ -54,7 +54,7 @@ class Halo(NamedTuple):
         low = jnp.clip(place.astype(jnp.int32), 0, ANGLES - 2)
         begin, end = (as_float(_away())[low + side] for side in (0, 1))
         share = ((away - begin) / (end - begin))[:, None, None]
-        own = self.table[low] * (1 - share) + self.table[low + 1] * share
+        own = self.table.at[low].get(**INSIDE) * (1 - share) + self.table.at[low + 1].get(**INSIDE) * share
         x = 2 * depth / jnp.where(self.deepest > 0, self.deepest, 1)[None] - 1
         before, now, total = jnp.ones_like(x), x, own[:, 0] + own[:, 1] * x
         for k in range(2, POWERS):

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import as_float
-from jaxir._math import tensordot
+from jaxir._math import INSIDE, tensordot
 from jaxir.medium import AbstractScatterer
 from jaxir.transport._method import DiscreteOrdinates
 
@@ -120,7 +120,7 @@ class Between(NamedTuple):
     def read(self, table: Float[Array, "read *more"]) -> Float[Array, "ray *more"]:
         """A table there."""
         shares = self.share.reshape(self.share.shape + (1,) * (table.ndim - 1))
-        each = [shares[:, k, side] * table[self.point[:, k] + side] for k, side in np.ndindex(4, 2)]
+        each = [shares[:, k, side] * table.at[self.point[:, k] + side].get(**INSIDE) for k, side in np.ndindex(4, 2)]
         return sum(each[1:], each[0])
 
 
