@@ -1,5 +1,6 @@
 """The command line: files written whole and labelled, one line and a status for whatever is wrong."""
 
+import functools
 import hashlib
 import importlib
 import json
@@ -96,6 +97,30 @@ def test_states_are_one_table_and_one_film(rendered, tmp_path, capsys):
     grows = '[over.rows]\nvalues = [4, 8]\ntables = { "camera.shape" = [[4, 4], [8, 4]] }\n'
     assert main(["film", str(write_scene(tmp_path, TEXT + grows, "grows.toml"))]) == 1
     assert "over: got other bands or shape at rows 8, expected equal ones" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["signature", "film"])
+def test_a_state_that_is_wrong_is_named_before_another_is_computed(command, tmp_path, capsys, monkeypatch):
+    def unused(entry):
+        @functools.wraps(entry)
+        def computed(*_args, **_kwargs):
+            raise AssertionError("computed before all states were looked at")
+
+        return computed
+
+    commands = importlib.import_module("jaxir.command_line._commands")
+    for name in ("render", "sweep"):
+        monkeypatch.setattr(commands, name, unused(getattr(commands, name)))
+    wrong = '[over.level]\nvalues = [1, -5]\nkeys = ["sources[0].irradiance"]\n'
+    assert main([command, str(write_scene(tmp_path, TEXT + wrong)), "-o", str(tmp_path / "out.png")]) == 1
+    said = capsys.readouterr().err
+    assert "scene.toml: level=-5: sources[0]: ParallelSource.irradiance: got -5.0" in said and said.count("\n") == 1
+
+
+def test_a_scale_of_lines_by_component_is_refused(tmp_path, capsys):
+    scene = str(write_scene(tmp_path))
+    assert main(["signature", scene, "--components", "parts", "--scale", "dB", "-o", str(tmp_path / "t.png")]) == 1
+    assert "--scale: got dB, expected none: lines by component have a scale of their own" in capsys.readouterr().err
 
 
 BARE = TEXT[: TEXT.index("[background]")] + TEXT[TEXT.index("[camera]") : TEXT.index("[signature]")]

@@ -85,6 +85,7 @@ def said_of(build):
         (lambda: jaxir.UniformAtmosphere(1e-4, 5.0), "UniformAtmosphere.distance: got 5.0, .* is it in km"),
         (lambda: jaxir.UniformAtmosphere(1e-4, 5e3, 15.0), "UniformAtmosphere.temperature: got 15.0, .* Celsius"),
         (lambda: TableAtmosphere([3.0, 5.0], [0.5, 0.5]), "TableAtmosphere.wavenumber: got 3.0 .* is it in um"),
+        (lambda: TableAtmosphere([990.0, 1010.0], [0.5] * 2, [3.0, 3.0]), "path_radiance: got 3.0.* is it per um"),
         (lambda: profile(height=HEIGHT / 1e3), "Profile: highest altitude: got 25.0, .* is it in km"),
         (lambda: profile(pressure=DEEP / 1e2), "Profile: highest pressure: got 1000.0, .* is it in hPa"),
         (lambda: profile(temperature=15.0), "Profile.temperature: got 15.0 .* degrees Celsius.*5 such values"),

@@ -59,15 +59,8 @@ def render_command(arguments: argparse.Namespace) -> None:
             began = time.perf_counter()
             asked = read.render | split_by(arguments)
             image = naming(read, partial(render, scene, camera, read.bands, method=read.method, **asked))
-            missed = " or ".join(f"render.{name}" for name in TOLERANCES if name in asked)
-            if bool(image.outcome == Outcome.samples_spent):
-                said = f"{read.file}: {missed} was not met with {int(image.samples)} samples ({_limits(render, asked)})"
-                warnings.warn(said, stacklevel=1)
-            elif bool(image.outcome == Outcome.left_out):
-                said = f"{read.file}: {missed} was not met, because orders or bounces leave out more than that"
-                warnings.warn(said, stacklevel=1)
             errors = image.error_budget(arguments.errors)
-            warn_of_errors(read, errors)
+            warn_of_image(read, image, errors)
             conditions = conditions_of(
                 read, quantity, began, errors=errors.described(), **_camera_conditions(name, camera, image)
             )
@@ -79,6 +72,19 @@ def render_command(arguments: argparse.Namespace) -> None:
 
 def _camera_conditions(name: str, camera: Camera, image: Image) -> dict[str, str | int | float]:
     return {"camera": name or "camera", "samples": int(image.samples), "unit": "W m-2 sr-1"}
+
+
+def warn_of_image(read: SceneFile, image: Image, errors: ErrorBudget, state: str = "") -> None:
+    """Say where an image, of a state, does not meet a tolerance that was asked for, and `warn_of_errors`."""
+    missed = " or ".join(f"render.{name}" for name in TOLERANCES if name in read.render)
+    which = f" in {state}" if state else ""
+    if bool(image.outcome == Outcome.samples_spent):
+        spent = f"{int(image.samples)} samples ({_limits(render, read.render)})"
+        warnings.warn(f"{read.file}: {missed} was not met{which} with {spent}", stacklevel=2)
+    elif bool(image.outcome == Outcome.left_out):
+        said = f"{read.file}: {missed} was not met{which}, because orders or bounces leave out more than that"
+        warnings.warn(said, stacklevel=2)
+    warn_of_errors(read, errors)
 
 
 def warn_of_errors(read: SceneFile, errors: ErrorBudget) -> None:
@@ -118,10 +124,13 @@ def signature_command(arguments: argparse.Namespace) -> None:
     read = read_scene(arguments.scene)
     if "views" not in read.signature:
         raise ValueError(f"{read.file}: got no key signature.views, expected it for signature")
+    if arguments.scale is not None and "components" in read.signature | split_by(arguments):
+        raise ValueError(f"--scale: got {arguments.scale}, expected none: lines by component have a scale of their own")
     if any(path.suffix == ".txt" for path in outputs):
         naming(read, lambda: require_full_table(read.signature["views"], read.names))
     if read.states is not None:
         read.states.refuse(SHARED, "bands, views and components of a table are the same in all states")
+        naming(read, partial(check_states, read, cameras=False))  # before any of them is computed
     require_targets(read.file, outputs, [""], quantities.values())
     for quantity, label in quantities.items():
         began = time.perf_counter()
@@ -161,6 +170,7 @@ def film_command(arguments: argparse.Namespace) -> None:
         raise ValueError(f"{read.file}: got no section over or no camera, expected both for film")
     quantities = quantities_of(arguments)
     require_targets(read.file, outputs, read.cameras, quantities.values())
+    naming(read, partial(check_states, read, views=False))
     shown = read.states.labels
     for quantity, label in quantities.items():
         films: dict[str, dict[str, Image]] = {}
@@ -174,6 +184,7 @@ def film_command(arguments: argparse.Namespace) -> None:
                     raise ValueError(f"{read.file}: over: got other bands or shape at {title}, expected equal ones")
                 asked = {"method": own.method, **own.render}
                 image = naming(read, partial(render, scene_of(own, quantity), camera, own.bands, **asked))
+                warn_of_image(own, image, image.error_budget(look=False), title)
                 films.setdefault(name, {})[title] = image
         for name, images in films.items():
             write(FILM_FORMATS, targets(outputs, name, label), images, **drawn_as(arguments))
@@ -211,27 +222,27 @@ def show_command(arguments: argparse.Namespace) -> None:
         write(SHOW_FORMATS, outputs, plot.scene_view(read.scene, read.cameras, arguments.colour))
 
 
-def check_states(read: SceneFile) -> None:
+def check_states(read: SceneFile, cameras: bool = True, views: bool = True) -> None:
     """`check` of the file, or of all its states."""
     if read.states is None:
-        return check(read)
+        return check(read, cameras, views)
     for state in read.states.every:
         try:
-            check(read.at(**state))
+            check(read.at(**state), cameras, views)
         except ValueError as error:
             named = ", ".join(f"{axis}={read.states.labels[axis][value]}" for axis, value in state.items())
             raise ValueError(f"{named}: {error}") from error
 
 
-def check(read: SceneFile) -> None:
-    """Raise `ValueError` for what `render` and `signature` would refuse."""
+def check(read: SceneFile, cameras: bool, views: bool) -> None:
+    """Raise `ValueError` for what `render` would refuse of the cameras and `signature` of the views."""
     nodes = as_nodes(read.bands)  # their ranges are those of any nodes of the bands
     require(read.scene.checks_on(nodes))
     eqx.filter_eval_shape(Scene.on, read.scene, nodes)
     held = {"scene": read.scene, "bands": nodes, "method": read.method}
-    for camera in read.cameras.values():
+    for camera in read.cameras.values() if cameras else ():
         _prepare(prepare_image, render, **held, **read.render, camera=camera)
-    if "views" in read.signature:
+    if views and "views" in read.signature:
         _prepare(check_views, signature, **held, **read.signature)
 
 

@@ -17,6 +17,7 @@ from jaxir.command_line._quantities import named
 from jaxir.imaging import Image, Signature
 from jaxir.io._files import written_whole
 from jaxir.io.result import (
+    Conditions,
     require_afsim_name,
     require_suffix,
     save_afsim,
@@ -37,11 +38,12 @@ class Format(NamedTuple):
     save: Callable[..., None]
 
 
-def save_figure(path: Path, figure: Any) -> None:
-    """Write a figure as PNG."""
+def save_figure(path: Path, figure: Any, conditions: Conditions | None = None) -> None:
+    """Write a figure as PNG, whose description is the quantity of the conditions."""
+    about = {} if conditions is None else {"Description": str(conditions["quantity"])}
     require_suffix(path, ".png")
     with written_whole(path) as part:
-        figure.savefig(part, dpi=120, format="png")
+        figure.savefig(part, dpi=120, format="png", metadata=about)
 
 
 def image_figure(image: Image, **options: str) -> Any:
@@ -80,7 +82,9 @@ RENDER_FORMATS = {
     ".png": Format(
         "picture with colour bar, and one of each component (extra plot)",
         ("matplotlib", "plot"),
-        lambda path, image, *about, **options: save_figure(path, image_figure(image, **options)),
+        lambda path, image, conditions, errors, **options: save_figure(
+            path, image_figure(image, **options), conditions
+        ),
     ),
 }
 SIGNATURE_FORMATS = {
@@ -94,7 +98,9 @@ SIGNATURE_FORMATS = {
     ".png": Format(
         "polar plot, or lines by component (extra plot)",
         ("matplotlib", "plot"),
-        lambda path, table, *about, **options: save_figure(path, signature_figure(table, **options)),
+        lambda path, table, conditions, errors, **options: save_figure(
+            path, signature_figure(table, **options), conditions
+        ),
     ),
 }
 FILM_FORMATS = {

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxir import plot
 from jaxir._version import __version__
-from jaxir.command_line._commands import TOLERANCES, warn_of_errors, warn_of_missed
+from jaxir.command_line._commands import TOLERANCES, warn_of_errors, warn_of_image, warn_of_missed
 from jaxir.command_line._formats import REPORT_FORMATS, outputs_of, require_targets, write
 from jaxir.command_line._html import Page
 from jaxir.command_line._inputs import inputs_of
@@ -52,14 +52,14 @@ def report_command(arguments: argparse.Namespace) -> None:
         for name, camera in read.cameras.items():
             asked = {"components": "sources", **read.render}
             image = naming(read, partial(render, scene, camera, read.bands, method=read.method, **asked))
-            write_image(page, read, name, image)
+            write_image(page, read, name, image, quantity)
         if "views" in read.signature:
             asked = {"components": "sources", **read.signature}
             table = naming(read, partial(signature, scene, bands=read.bands, method=read.method, **asked))
             warn_of_missed(read, table)
             write_signature(page, read, table)
     page.heading("What was assumed")
-    page.listed([*assumptions(read), *dict.fromkeys(said)])
+    page.listed([*assumptions(read, scene), *dict.fromkeys(said)])
     page.heading("How it was made")
     files = [word for path in outputs for word in ("-o", str(path))]
     words = ["jaxir", "report", str(arguments.scene), *files, *(["-q", quantity] if arguments.quantity else [])]
@@ -97,11 +97,12 @@ class _kept_warnings:
         warnings.showwarning = self.shown
 
 
-def write_image(page: Page, read: SceneFile, name: str, image: Image) -> None:
+def write_image(page: Page, read: SceneFile, name: str, image: Image, quantity: str) -> None:
     errors = image.error_budget(look=False)
-    warn_of_errors(read, errors)
+    warn_of_image(read, image, errors)
+    where = "at the sensor" if quantity == "apparent" else "at the target, without air"
     page.heading(f"Image{f' {name}' if name else ''}")
-    page.figure(plot.radiance_image(image), f"Radiance at the sensor, {int(image.samples)} rays per pixel.")
+    page.figure(plot.radiance_image(image), f"Radiance {where}, {int(image.samples)} rays per pixel.")
     seen = "Temperature of a blackbody that is as bright in the band."
     page.figure(plot.radiance_image(image, quantity="temperature"), seen)
     page.figure(plot.component_bars(image), "Radiant intensity by where its light comes from.")
@@ -150,9 +151,8 @@ def _write_budget(page: Page, errors: ErrorBudget) -> None:
     page.figure(plot.error_bars({"": errors}), "Shares of the error; what is not known was not looked for.")
 
 
-def assumptions(read: SceneFile) -> list[str]:
-    """What the numbers rest on, a sentence each."""
-    scene = read.scene
+def assumptions(read: SceneFile, scene: Scene) -> list[str]:
+    """What the numbers rest on, a sentence each; of the scene whose contrast is the quantity."""
     method = (Method() if read.method is None else read.method).resolved(scene)
     asked = any(name in part for part in (read.render, read.signature) for name in TOLERANCES)
     free = ", or as an error that is asked for needs" if read.method is None and asked else ""

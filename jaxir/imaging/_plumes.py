@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import as_float, enforce
 from jaxir._fields import require_count
@@ -58,10 +58,20 @@ def plume_intensity(
 @program
 def _integrated(scene: Scene, nodes: Nodes, frame: Array, rays: int) -> Array:
     lit, extent = on_nodes(scene, nodes), scene.extent()
-    through, area = entering(extent.min(axis=0), extent.max(axis=0), frame[2], rays)
+    held = lax.stop_gradient(extent)
+    low, high = (_corner(extent, which(held, axis=0)) for which in (jnp.argmin, jnp.argmax))
+    through, area = entering(low, high, frame[2], rays)
     far = jnp.full(through.count, jnp.inf, area.dtype)
     seen = lit.through_air(lit.through_plume(through, far, lit.background(through.direction)))
     return nodes.in_band(jnp.sum((seen - lit.empty(through.direction)) * area[:, None], axis=0))
+
+
+def _corner(points: Float[Array, "corner 3"], which: Int[Array, " 3"]) -> Float[Array, " 3"]:
+    """Of each coordinate that of the point whose number is given.
+
+    The derivative of a minimum looks for points that are equal to it, which none is where these are computed anew.
+    """
+    return jnp.take_along_axis(points, which[None], axis=0)[0]
 
 
 def entering(

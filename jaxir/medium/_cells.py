@@ -168,9 +168,12 @@ class CellMedium(AbstractScatterer):
         return sent * jax.vmap(self.phase.eval)(cosine)
 
     def _cell(self, point: Float[Array, "ray 3"], margin: float) -> tuple[tuple[Array, ...], Bool[Array, "ray 1"]]:
-        """Indices of the cells of points, and whether these lie inside the grid or within `margin` cells of it."""
+        """Indices of the cells of points, and whether these lie inside the grid or within `margin` cells of it.
+
+        Of two grids that share a face its points lie in one alone, as for rays that are walked.
+        """
         place, count = (point - self.grid.origin[None]) / self.grid.spacing[None], np.array(self.grid.shape)
-        inside = ((place >= -margin) & (place <= as_float(count)[None] + margin)).all(axis=1)[:, None]
+        inside = ((place >= -margin) & (place < as_float(count)[None] + margin)).all(axis=1)[:, None]
         cell = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, jnp.asarray(count - 1, jnp.int32)[None])
         return (cell[:, 0], cell[:, 1], cell[:, 2]), inside
 

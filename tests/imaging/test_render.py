@@ -115,6 +115,21 @@ def test_the_shape_of_a_jet_has_right_slopes_from_any_side(azimuth, elevation, x
     np.testing.assert_allclose(jax.grad(intensity)(shape), expected, rtol=1e-2)
 
 
+def test_the_place_of_an_oblique_jet_has_no_slope_in_either_precision(precision):
+    """Nothing is behind it and its box moves with it; whatever the compiler computes anew, nothing is lost."""
+    where = jnp.array([0.1, -0.2, 0.0]), jnp.array([-1.0, 0.15, 0.1])
+
+    def intensity(nozzle, axis, diameter):
+        jet = jaxir.JetPlume(nozzle, axis, diameter, 1100.0, 250.0, jaxir.GrayGas(0.5), length=20.0)
+        return jaxir.plume_intensity(jaxir.Scene(plumes=jet), 30.0, 20.0, jaxir.MWIR, rays=256)[0]
+
+    at = (*where, jnp.asarray(0.5))
+    value, (nozzle, axis, diameter) = jax.value_and_grad(intensity, argnums=(0, 1, 2))(*at)
+    assert np.isfinite(axis).all() and float(np.abs(nozzle).max()) < 1e-5 * float(value)
+    more, less = (float(intensity(*where, jnp.asarray(0.5 + step))) for step in (0.005, -0.005))
+    np.testing.assert_allclose(diameter, (more - less) / 0.01, rtol=1e-3)
+
+
 def test_a_pixel_inside_a_homogeneous_box_has_no_error(precision):
     plume = gray_box((2.0, 2.0, 2.0), 0.7)
     black = float(jaxir.band_radiance(plume.temperature[0, 0, 0], gray_nodes((jaxir.MWIR,)))[0])

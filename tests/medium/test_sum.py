@@ -91,6 +91,18 @@ def test_overlapping_grids_add_cell_by_cell(precision):
     np.testing.assert_allclose(got, want, rtol=rtol)
 
 
+def test_a_ray_in_the_face_that_two_grids_share_is_in_one_of_them(x64):
+    """Along the face and within it obliquely; of one grid of the same cells as long."""
+    half = [jaxir.Grid((x, -0.5, -0.5), (0.5, 0.5, 0.5), (2, 2, 2)) for x in (-1.0, 0.0)]
+    plumes = [jaxir.GridPlume(grid, 800.0, jaxir.GrayGas(0.5)) for grid in half]
+    origin, toward = jnp.array([[0.0, 5.0, 0.25], [0.0, 5.0, 5.0]]), jnp.array([[0.0, -1.0, 0.0], [0.0, -1.0, -1.0]])
+    rays = jaxir.Rays(origin, toward / jnp.linalg.norm(toward, axis=1, keepdims=True))
+    black = jaxir.band_radiance(jnp.asarray(800.0), gray_nodes(BANDS))
+    want = -np.expm1(-0.5 * np.array([[1.0], [np.sqrt(2)]])) * np.asarray(black)
+    for order in (plumes, plumes[::-1]):
+        np.testing.assert_allclose(look(jaxir.Scene(plumes=tuple(order)), rays), want, rtol=1e-9)
+
+
 def test_order_does_not_matter_and_one_half_twice_is_one(x64):
     rays = rays_through(300, (0.3, 0.1, -1.0))
     pair = (jet(-0.3), jet(0.3, temperature=600.0))

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from jaxir.io._array_files import array_names, load_arrays
 from jaxir.io._files import csv_rows, largest_number, to_number
+
+_MAY_BE_FACE = [  # letters of names
+    *("face", "faces", "faceid", "faceindex", "facenumber", "faceno", "iface"),
+    *("cell", "cellid", "cellindex", "element", "elementid", "triangle", "triangleid", "id", "index"),
+]
 
 
 def load_array(path: str | os.PathLike, array: str | None = None) -> np.ndarray:
@@ -46,7 +53,8 @@ def load_face_values(path: str | os.PathLike, count: int, column: str = "tempera
 
     A CSV file is a list of numbers, one a line, or a table whose first line names its columns: `column`, and `face`,
     the index of each line's face from 0, where lines are not in the order of the faces. Empty lines and lines that
-    start with # are skipped. An NPZ file holds an array of the name `column`, and of the name `face` likewise.
+    start with # are skipped. An NPZ file holds an array of the name `column`, and of the name `face` likewise. Names
+    that seem to mean `face`, as face_id does, are refused.
 
     Args:
         path: the file.
@@ -67,6 +75,8 @@ def load_face_values(path: str | os.PathLike, count: int, column: str = "tempera
     if suffix not in (".npz", ".npy"):
         raise ValueError(f"{file}: expected a file name that ends in .csv, .npz or .npy")
     value = load_array(file, column if suffix == ".npz" else None)
+    if suffix == ".npz":
+        _require_no_other(str(file), array_names(file))
     if suffix == ".npz" and "face" in array_names(file):
         return _by_face(file, load_array(file, "face"), value, count)
     if value.shape != (count,):
@@ -99,6 +109,7 @@ def _from_csv(file: Path, count: int, column: str) -> np.ndarray:
         header, rows = [column], [rows[0], *rows]
     if column not in header or len(set(header)) < len(header):
         raise ValueError(f"{file}:{rows[0][0]}: got columns {', '.join(header)}, expected {column}, each once")
+    _require_no_other(f"{file}:{rows[0][0]}", header)
     faces: list[float] = []
     values: list[float] = []
     for line, cells in rows[1:]:
@@ -112,6 +123,13 @@ def _from_csv(file: Path, count: int, column: str) -> np.ndarray:
     if len(values) != count:
         raise ValueError(f"{file}: got {len(values)} values, expected {count}, one per face")
     return _by_face(file, np.array(faces), np.array(values), count) if faces else np.array(values)
+
+
+def _require_no_other(where: str, names: Sequence[str]) -> None:
+    """No name that may mean the index of a face and would not be read."""
+    for name in names:
+        if "face" not in names and re.sub("[^a-z]", "", name.lower()) in _MAY_BE_FACE:
+            raise ValueError(f"{where}: got {name!r}, expected 'face' where it is the index of a face from 0")
 
 
 def _is_number(text: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ from jaxir.geometry.search import Mesh
 from jaxir.io._axes import Axes, metres
 from jaxir.io.field._datasets import finite_scalar, read_dataset, require_pyvista
 
-FARTHEST = 0.1  # of the mesh's size: a surface whose median distance is larger belongs to another body or unit
+FARTHEST = 0.1  # of the mesh's size, as a distance: a surface whose median is farther is that of another body or unit
 _CORNERS = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6  # centroids of the four quarters of a triangle
 
 
@@ -66,7 +67,8 @@ def load_surface_field(
 
     Every face is cut into four of equal area; each takes the value at the point of the surface that is nearest to its
     centroid, point data linear between the corners of a triangle, cell data constant in it. The face's value is the
-    mean of its four. This neither smooths nor conserves the integral: the report tells both means.
+    mean of its four. This neither smooths nor conserves the integral: the report tells both means. Where a point of the
+    mesh is far from the surface, by a tenth of the mesh's size, that is warned of.
 
     Args:
         path: VTK file (.vtp, .vtu, .vtk, .vtm), the .foam file of an OpenFOAM case (its walls), or any other format
@@ -98,6 +100,12 @@ def load_surface_field(
         raise ValueError(
             f"{file}: the mesh lies {np.median(distance):.3g} m (median) from the surface and is {size:.3g} m large, "
             f"expected the same body; is the unit {unit!r} right?"
+        )
+    if distance.max() > FARTHEST * size:
+        warnings.warn(
+            f"{file}: a point of the mesh lies {distance.max():.3g} m from the surface, of a body {size:.3g} m large; "
+            "is a part missing, or the surface turned or shifted?",
+            stacklevel=2,
         )
     per_face = value.reshape(len(corners), -1).mean(axis=1)
     area = np.linalg.norm(np.asarray(mesh.area_vectors(), np.float64), axis=1)

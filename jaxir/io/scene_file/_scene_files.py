@@ -222,10 +222,11 @@ def _read(whole: Entry) -> SceneFile:
     plumes, notes = _plumes(parts["plumes"]) if "plumes" in parts else ((), ())
     if "resolve_jet" in parts:
         plumes = _resolved(parts["resolve_jet"], plumes, bands)
+    skin, about_skin = read_skin(parts["skin"], READERS) if "skin" in parts else (None, ())
     sources = parts["sources"].items() if "sources" in parts else []
     try:
         scene = Scene(
-            skin=read_skin(parts["skin"], READERS) if "skin" in parts else None,
+            skin=skin,
             plumes=plumes,
             sources=tuple(build(entry, {**SOURCES, **BACKGROUNDS}, READERS) for entry in sources),
             background=build(parts["background"], BACKGROUNDS, READERS) if "background" in parts else None,
@@ -242,7 +243,7 @@ def _read(whole: Entry) -> SceneFile:
         method=method,
         render=arguments(parts["render"], render, RENDER_READERS, ELSEWHERE) if "render" in parts else {},
         signature=_signature(parts["signature"]) if "signature" in parts else {},
-        notes=notes,
+        notes=(*about_skin, *notes),
         states=read_states(parts["over"], whole) if "over" in parts else None,
     )
 
@@ -250,6 +251,8 @@ def _read(whole: Entry) -> SceneFile:
 def _bands(entry: Entry) -> Nodes | tuple[Band, ...]:
     if isinstance(entry.value, list):
         return tuple(band_list(entry))
+    if not isinstance(entry.value, dict):
+        raise entry.wrong("a list of bands, or a table of spectral nodes")
     return build(entry, {"resolved_nodes": resolved_nodes, "gray_nodes": gray_nodes, "k_nodes": k_nodes}, READERS)
 
 

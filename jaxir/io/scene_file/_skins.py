@@ -27,7 +27,7 @@ from jaxir.optics.surface import AbstractBrdf, joined_brdf
 from jaxir.scene import Skin
 
 
-def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
+def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> tuple[Skin, tuple[str, ...]]:
     """The table `skin`.
 
     `temperature` and `brdf` hold for all faces, and `[[skin.parts]]`, in order, replace them: for the part that the
@@ -39,7 +39,7 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
         readers: of parameters by name, that of `brdf` among them.
 
     Returns:
-        The skin.
+        The skin, and what transferring computed surfaces did to them.
 
     Raises:
         ValueError: a key or value that does not fit, a part that the mesh has not, faces without a temperature or
@@ -51,6 +51,7 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
     temperature = np.full(body.mesh.count, np.nan)
     kind = np.full(body.mesh.count, -1)
     brdfs: list[AbstractBrdf] = []
+    notes: list[str] = []
     changes = keys["parts"].items() if "parts" in keys else []
     for change in [everywhere, *changes]:
         faces = np.arange(body.mesh.count)
@@ -58,7 +59,7 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
             faces, body = _faces(change, body, readers)
         given = change.children()
         if "temperature" in given:
-            temperature[faces] = face_temperature(given["temperature"], body.mesh, faces, readers)
+            temperature[faces] = face_temperature(given["temperature"], body.mesh, faces, readers, notes)
         if "brdf" in given:
             brdf = readers["brdf"](given["brdf"])
             if brdf.shape()[0] not in (1, faces.size if change is everywhere else 1):
@@ -71,9 +72,10 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> Skin:
             part = body.part_names[body.part[face]]
             raise ValueError(f"{entry.file}: {entry.key}: got no {what} for face {face}, of part {part!r}")
     try:
-        return Skin(body.mesh, temperature, joined_brdf(brdfs, kind), body.part, body.part_names)
+        skin = Skin(body.mesh, temperature, joined_brdf(brdfs, kind), body.part, body.part_names)
     except ValueError as error:
         raise entry.failed(error) from error
+    return skin, tuple(notes)
 
 
 def _body(entry: Entry, readers: Mapping[str, Reader]) -> Body:
@@ -129,15 +131,24 @@ def _face_list(entry: Entry, body: Body, readers: Mapping[str, Reader]) -> np.nd
         faces = np.atleast_1d(_indices(entry))
     if faces.ndim != 1 or faces.size == 0 or faces.min() < 0 or faces.max() >= count:
         raise entry.wrong(f"faces 0 to {count - 1}, at least one")
+    if np.unique(faces).size < faces.size:
+        raise entry.wrong("every face once")
     return faces
 
 
-def face_temperature(entry: Entry, mesh: Mesh, faces: np.ndarray, readers: Mapping[str, Reader]) -> np.ndarray:
-    """Temperatures of some faces [face]: a number, a list, a file with a value per face, or a computed surface."""
+def face_temperature(
+    entry: Entry, mesh: Mesh, faces: np.ndarray, readers: Mapping[str, Reader], notes: list[str]
+) -> np.ndarray:
+    """Temperatures of some faces [face]: a number, a list, a file with a value per face, or a computed surface.
+
+    What transferring a surface did is added to the notes.
+    """
     if isinstance(entry.value, dict) and "path" in entry.value:
-        if existing_file(entry.children()["path"]).suffix.lower() in (".csv", ".npz", ".npy"):
+        if existing_file(entry.children()["path"]).suffix.lower() in (".csv", ".npz", ".npy", ".txt", ".dat"):
             return construct(entry, load_face_values, {**readers, "column": text}, count=faces.size)
-        return construct(entry, load_surface_field, {**readers, "field": text}, mesh=mesh).value[faces]
+        found = construct(entry, load_surface_field, {**readers, "field": text}, mesh=mesh)
+        notes.append(f"{entry.key}: {found.describe()}")
+        return found.value[faces]
     value = np.asarray(numbers(entry))
     if value.shape not in ((), (faces.size,)):
         raise entry.wrong(f"one number or {faces.size}, one per face")

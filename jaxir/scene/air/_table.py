@@ -12,10 +12,13 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check, fraction, increasing, known, non_negative, on_host, positive, require
 from jaxir._fields import quantity
 from jaxir._math import matmul
-from jaxir._plausible import WAVENUMBER
+from jaxir._plausible import WAVENUMBER, doubt
 from jaxir.optics._tables import sample_weights
-from jaxir.optics.spectrum import Nodes, bins_inside
+from jaxir.optics.spectrum import FIRST_RADIATION, SECOND_RADIATION, Nodes, bins_inside
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
+
+HOT, SUN = 400.0, 5800.0  # K, of air that is hotter than any, and of the Sun
+SUNLIT = 1e-3  # of the Sun's radiance, fifteen times what fills the sky where all of its light is scattered
 
 
 class TableAtmosphere(AbstractAtmosphere):
@@ -27,7 +30,6 @@ class TableAtmosphere(AbstractAtmosphere):
         wavenumber: increasing [sample] [cm-1].
         transmittance: [sample].
         spectral_path_radiance: spectral radiance that the path adds [sample] [W m-2 sr-1 / cm-1]; None adds nothing.
-
         gaps: ranges without data between the samples [gap, 2] [cm-1]; None for none. No bin may reach into one.
 
     Differentiable in transmittance and radiance.
@@ -44,6 +46,21 @@ class TableAtmosphere(AbstractAtmosphere):
     def has_spectrum(self) -> bool:
         """See `Physical.has_spectrum`."""
         return True
+
+    def doubts(self) -> list[Check]:
+        """See `Physical.doubts`: no air shines brighter than a black body of 400 K and sunlight all around."""
+        if self.spectral_path_radiance is None:
+            return []
+
+        def shines(radiance: np.ndarray, wavenumber: np.ndarray) -> np.ndarray:
+            most = np.zeros(np.shape(wavenumber))
+            for share, temperature in ((1.0, HOT), (SUNLIT, SUN)):
+                x = SECOND_RADIATION * np.maximum(np.float64(wavenumber), 1e-9) / temperature
+                most += share * FIRST_RADIATION * np.float64(wavenumber) ** 3 / np.expm1(np.minimum(x, 700))
+            return radiance <= most
+
+        name, expected = "TableAtmosphere.spectral_path_radiance", "W m-2 sr-1 / cm-1 as air has; is it per um?"
+        return [doubt(name, shines, expected, self.spectral_path_radiance, self.wavenumber)]
 
     def node_checks(self, nodes: Nodes) -> list[Check]:
         """See `Physical.node_checks`: bins lie within the table, and in none of its gaps."""

@@ -40,6 +40,7 @@ def test_npz_and_npy(tmp_path):
         ("temperature_C\n20\n", "t.csv:1: got columns temperature_C, expected temperature"),
         ("face,temperature\n0,300\n1\n", "t.csv:3: got 1 columns, expected 2"),
         ("face,temperature\n0,300\n1,310\n1,320\n", "t.csv: face 1 has 2 values|face 2 has 0 values"),
+        ("Face ID,temperature\n2,300\n1,310\n0,320\n", "t.csv:1: got 'Face ID', expected 'face' where it is the index"),
         ("300.25\n310.25\n320.25\n33", "t.csv:4: got '33' without a line end, .*: the file is cut"),
         ("1e999\n1\n1\n", "t.csv:1: got '1e999', expected a finite number"),
         ("1e300\n1\n1\n", "t.csv:1: got '1e300', expected a finite number"),
@@ -57,6 +58,7 @@ def test_wrong_csv(text, message, tmp_path):
 def test_wrong_npz(tmp_path):
     good = write_npz(tmp_path / "good.npz", temperature=np.ones(3), words=np.array(["a"]), bad=np.array([1.0, np.nan]))
     (tmp_path / "cut.npz").write_bytes(good.read_bytes()[:200])
+    other = write_npz(tmp_path / "other.npz", temperature=np.ones(3), face_index=np.arange(3)[::-1])
     np.save(tmp_path / "whole.npy", np.ones(1000))
     (tmp_path / "cut.npy").write_bytes((tmp_path / "whole.npy").read_bytes()[:500])
     (tmp_path / "noise.npz").write_bytes(b"hello")
@@ -64,6 +66,7 @@ def test_wrong_npz(tmp_path):
     for call, message in (
         (lambda: load_face_values(good, 4), r"good.npz: temperature has shape \(3,\), expected \(4,\)"),
         (lambda: load_face_values(good, 3, "heat"), "good.npz: got array 'heat', expected one of temperature, words"),
+        (lambda: load_face_values(other, 3), "other.npz: got 'face_index', expected 'face' where it is the index"),
         (lambda: load_array(good, "words"), "good.npz: words holds <U1, expected numbers"),
         (lambda: load_array(good, "bad"), r"good.npz: bad is nan at \[1\], expected finite"),
         (lambda: load_array(tmp_path / "cut.npz", "temperature"), "cut.npz: not readable as NPZ or NPY"),

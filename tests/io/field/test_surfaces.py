@@ -55,3 +55,11 @@ def test_what_is_wrong_with_a_surface_is_named(files, mesh):
     ):
         with pytest.raises(ValueError, match=message):
             load_surface_field(files / name, mesh, field, unit=unit)
+
+
+def test_a_surface_that_lies_elsewhere_in_part_is_said(files, mesh):
+    vertices = np.array(mesh.vertices)
+    vertices[vertices[:, 2] > 0.9] *= 2
+    moved = jaxir.Mesh(vertices, np.asarray(mesh.faces))
+    with pytest.warns(UserWarning, match="s.vtp: a point of the mesh lies 0.9.* m from the surface, of a body"):
+        load_surface_field(files / "s.vtp", moved, "T", unit="mm")

@@ -62,6 +62,7 @@ def test_a_selection_is_a_part(faces, hot, tmp_path):
             r"OfPart.parts: got \['rudder'\], expected some of wing, tail, fin",
         ),
         ('{ type = "OfMaterial", materials = ["glass"] }', "OfMaterial: got a mesh without materials"),
+        ("[1, 2, 1]", "expected every face once"),
         ('{ type = "InBix" }', r"type: got 'InBix', expected one of .* \(did you mean InBox\?\)"),
         ('{ type = "InBox", X = [0, 1] }', "X: unknown key"),
         ('{ type = "Facing", direction = [0, 0, 0] }', "expected a direction, not all 0"),

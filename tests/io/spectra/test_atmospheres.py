@@ -175,7 +175,7 @@ def test_csv_by_wavenumber_and_by_wavelength(tmp_path):
     first, second = load_atmosphere_csv(by_number), load_atmosphere_csv(by_length)
     assert np.allclose(first.spectral_path_radiance, THERMAL * 1e4, rtol=1e-5)
     assert np.allclose(first.on(NODES).transmittance, second.on(NODES).transmittance, atol=1e-5)
-    assert np.all(np.asarray(second.spectral_path_radiance) == 0)
+    assert second.spectral_path_radiance is None and second.described.endswith("without path radiance")
 
 
 @pytest.mark.parametrize(
@@ -191,6 +191,7 @@ def test_csv_by_wavenumber_and_by_wavelength(tmp_path):
         ("wavenumber_cm-1,transmittance,path_radiance\n2000,0.5,-1\n", ":2: got path radiance"),
         ("wavenumber_cm-1,transmittance\n2000,0.5\n", "1 samples"),
         ("wavenumber_cm-1,transmittance\n2000,0,5\n", "bad.csv:2: got 3 columns, expected 2"),
+        ("wavenumber_cm-1,transmittance,Path_Radiance_um\n2000,0.5,1\n", "got the column Path_Radiance_um, expected"),
         ("wavenumber_cm-1,transmittance,path_radiance\n2000,0.5,1e308\n", "bad.csv:2: got path radiance 1e.308"),
         ("wavelength_um,transmittance\n1e-320,0.5\n", "bad.csv:2: got wavenumber inf"),
         ("wavenumber_cm-1,transmittance\n2000,0.5\n2000.00001,0.5\n", "bad.csv:3: .* twice .in float32"),
