@@ -19,24 +19,18 @@ T = TypeVar("T")
 
 
 def row(table: Array, index: Int[Array, ""]) -> Array:
-    """Row `index` of a table [row, lane], int32 also where integers default to 64 bits."""
-    zero = jnp.zeros((), jnp.int32)
-    return lax.dynamic_slice(table, (index, zero), (1, table.shape[1]), allow_negative_indices=False).reshape(-1)
+    """Row `index` of a table [row, ...]."""
+    return lax.dynamic_index_in_dim(table, index, keepdims=False, allow_negative_indices=False)
+
+
+def with_row(table: Array, index: Int[Array, ""], value: Array) -> Array:
+    """The table with another row `index`."""
+    return lax.dynamic_update_index_in_dim(table, value, index, 0, allow_negative_indices=False)
 
 
 def item(table: Array, *index: Int[Array, ""]) -> Array:
     """One element of a table, as a slice rather than a gather."""
     return lax.dynamic_slice(table, index, (1,) * table.ndim, allow_negative_indices=False).reshape(())
-
-
-def entry(table: Array, index: Int[Array, ""]) -> Array:
-    """Entry `index` of the first axis."""
-    return lax.dynamic_index_in_dim(table, index, keepdims=False, allow_negative_indices=False)
-
-
-def with_entry(table: Array, index: Int[Array, ""], value: Array) -> Array:
-    """The table with another entry `index` of its first axis."""
-    return lax.dynamic_update_index_in_dim(table, value, index, 0, allow_negative_indices=False)
 
 
 def lowest_bit(mask: Int[Array, ""]) -> Int[Array, ""]:
@@ -128,10 +122,10 @@ def where_some(
 
         def block(k: Array, values: Array) -> Array:
             def ray(at: Array, values: Array) -> Array:
-                mine = jax.tree.map(lambda x: entry(x, k * BLOCK + at), rays)
-                return with_entry(values, at, function(mine))
+                mine = jax.tree.map(lambda x: row(x, k * BLOCK + at), rays)
+                return with_row(values, at, function(mine))
 
-            return with_entry(values, k, for_each(entry(flags, k), ray, entry(values, k)))
+            return with_row(values, k, for_each(row(flags, k), ray, row(values, k)))
 
         return for_each(jnp.any(flags, axis=1), block, varying(values, value)).reshape(-1)[:count]
 

@@ -76,9 +76,10 @@ def load_face_values(path: str | os.PathLike, count: int, column: str = "tempera
         raise ValueError(f"{file}: expected a file name that ends in .csv, .npz or .npy")
     value = load_array(file, column if suffix == ".npz" else None)
     if suffix == ".npz":
-        _require_no_other(str(file), array_names(file))
-    if suffix == ".npz" and "face" in array_names(file):
-        return _by_face(file, load_array(file, "face"), value, count)
+        held = array_names(file)
+        _require_no_other(str(file), held)
+        if "face" in held:
+            return _by_face(file, load_array(file, "face"), value, count)
     if value.shape != (count,):
         raise ValueError(f"{file}: {column} has shape {value.shape}, expected ({count},), one value per face")
     return value

@@ -49,12 +49,13 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
         raise ValueError(
             f"{file}:{lines[0][0]}: got columns {header}, expected wavenumber_cm-1 or wavelength_um, and transmittance"
         )
+    shines = "path_radiance" in header
     near = [name for name in header if "path" in name.lower() and "radiance" in name.lower()]
-    if near and "path_radiance" not in header:
+    if near and not shines:
         raise ValueError(
             f"{file}:{lines[0][0]}: got the column {near[0]}, expected path_radiance in W m-2 sr-1 / cm-1, or none"
         )
-    wanted = [spectral, "transmittance", *(["path_radiance"] if "path_radiance" in header else [])]
+    wanted = [spectral, "transmittance", *(["path_radiance"] if shines else [])]
     if twice := [name for name in wanted if header.count(name) > 1]:
         raise ValueError(f"{file}:{lines[0][0]}: got the column {twice[0]} twice, expected every column once")
     table = _Table(file)
@@ -66,8 +67,9 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
             if values[0] <= 0:
                 raise ValueError(f"{file}:{number}: got wavelength {values[0]}, expected > 0 um")
             values[0] = 1e4 / values[0]
-        table.add(number, values[0], values[1], values[2] if len(values) > 2 else 0.0)
-    return table.atmosphere("path_radiance" in header)
+        table.add(number, values[0], values[1], values[2] if shines else 0.0)
+    wavenumber, transmittance, radiance = (as_float(column) for column in table.sorted().T)
+    return TableAtmosphere(wavenumber, transmittance, radiance if shines else None)
 
 
 def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAtmosphere:
@@ -288,11 +290,6 @@ class _Table:
             raise ValueError(f"{self.file}: got {len(self.samples)} samples, expected at least two")
         table = np.array([sample[1:] for sample in self.samples])
         return table if table[-1, 0] > table[0, 0] else table[::-1]
-
-    def atmosphere(self, shines: bool) -> TableAtmosphere:
-        """The path through the air, whose radiance may not be told."""
-        wavenumber, transmittance, radiance = (as_float(column) for column in self.sorted().T)
-        return TableAtmosphere(wavenumber, transmittance, radiance if shines else None)
 
 
 def _rounded(value: float) -> float:
