@@ -2,7 +2,9 @@
 
 import os
 import re
+from functools import wraps
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -76,7 +78,9 @@ def test_any_folder_may_keep_views(name, asked, tmp_path, monkeypatch):
 def test_every_state_is_a_frame_of_its_camera(tmp_path, monkeypatch):
     films = {}
     kept = Format("", None, lambda path, images: films.update({path.name: list(images)}))
-    monkeypatch.setattr(commands, "render", lambda *given, **asked: None)
+    image = SimpleNamespace(error_budget=lambda look: None)
+    monkeypatch.setattr(commands, "render", wraps(jaxir.render)(lambda *given, **asked: image))
+    monkeypatch.setattr(commands, "warn_of_image", lambda *given: None)
     monkeypatch.setitem(FILM_FORMATS, ".gif", kept)
     over = "[over.n]\nvalues = [1000001, 1000002]\ntables = { 'camera[0].name' = ['a', 'b'] }"
     text = TEXT.replace("[camera]", "[[camera]]\nname = 'a'") + over
