@@ -33,7 +33,6 @@ import jax
 import numpy as np
 from jax.experimental import serialize_executable
 
-from jaxir._arrays import placed
 from jaxir._cache import compiled_anew, keep, keeps, kept
 from jaxir._room import crowded, program_made
 
@@ -125,7 +124,7 @@ class _Program:
             if known and known[0][0] is not None:  # which places arrays faster than others do
                 ready, arrays = known[0]
                 return ready([*arrays, *jax.tree.leaves(item)])
-            item = jax.tree.map(placed, item)
+            item = jax.device_put(item)  # all of its arrays at once
             own = jax.tree.leaves(item)
             if known:
                 return self._jitted(inputs, item)
@@ -158,7 +157,7 @@ def of_items(function: Callable[[Any, Any], Any], inputs: Any) -> Callable[[Any]
     """`function(inputs, item)` of many items, of arrays of numpy alike: a program looks at its inputs once."""
     if isinstance(function, _Program):
         return function.of_items(inputs)
-    return lambda item: function(inputs, jax.tree.map(placed, item))
+    return lambda item: function(inputs, jax.device_put(item))
 
 
 def _ready(

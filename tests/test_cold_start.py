@@ -65,6 +65,17 @@ def test_no_program_is_compiled_twice_for_one_structure(quantity, transformation
     assert all(np.any(a != b) for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True))
 
 
+def test_other_numbers_of_views_compile_nothing():
+    seen = [jaxir.signature(unlit((0.8, 900.0)), [(0, 10)], MWIR, samples=2, shape=(16, 16))]
+    seen[0].error_budget()
+    del COMPILED[:]
+    views = [(0, 10), (40, 0), (0, 10), (80, -30), (180, 0)]
+    seen += [jaxir.signature(unlit((0.8, 900.0)), views, MWIR, samples=2, shape=(16, 16))]
+    assert not COMPILED
+    np.testing.assert_array_equal(seen[1].intensity[0], seen[0].intensity[0])
+    assert (np.asarray(seen[1].intensity)[1:] != np.asarray(seen[0].intensity)).all()  # by random keys of their own
+
+
 def test_hessian_of_a_gridded_plume_is_the_slope_of_its_gradient(x64):
     grid = jaxir.Grid((-1.0, -0.5, -0.5), (0.25, 0.25, 0.25), (4, 4, 4))
 

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import Check, as_float, broadcast, enforce, positive, reshaped
-from jaxir._programs import program
 from jaxir.geometry import Camera, view_checks
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Scene, on_nodes, scene_nodes
@@ -85,7 +84,7 @@ def measured_intensity(
     if aspect.ndim != 2 or aspect.shape[1] != 2:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     nodes = enforce(nodes, [*scene.checks_on(nodes), *view_checks(aspect)])
-    cameras = _cameras(scene, nodes, aspect, shape, as_float(distance, "distance"))
+    cameras = graded_cameras(on_nodes(scene, nodes), aspect, shape, as_float(distance, "distance"))
     wanted = (aspect.shape[0], len(nodes.names))
     return _measurement(value, standard_deviation, wanted, cameras, nodes, method, samples, False)
 
@@ -140,8 +139,3 @@ def _measurement(
     given, deviations = (reshaped(array, rows) for array in (numbers, broadcast(spread, shape)))
     made = Measurement(given, deviations, cameras, nodes, Method() if method is None else method, samples, per_pixel)
     return enforce(made, made.checks())
-
-
-@program
-def _cameras(scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array) -> Camera:
-    return graded_cameras(on_nodes(scene, nodes), aspect, shape, distance)

@@ -143,8 +143,10 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
     merging = not scene.plumes and _alike(scene, measurement)  # rays of one block alone merge
     blocks = 1 if measurement.per_pixel or merging else BLOCKS
     views = []
-    for view in range(measurement.cameras.pixel.shape[0]):
-        rays = _rays_of_view(scene, measurement.cameras, placed(np.int32(view)), for_pixels, measurement.samples)
+    cameras = jax.tree.map(np.asarray, measurement.cameras)
+    for view in range(cameras.pixel.shape[0]):
+        camera = jax.tree.map(lambda leaf, view=view: placed(leaf[view]), cameras)
+        rays = _rays_of_view(scene, camera, placed(np.int32(view)), for_pixels, measurement.samples)
         views.append(_with_rows(rays, view, measurement, blocks))
     rays = jax.tree.map(lambda *leaves: np.concatenate(leaves), *views)
     crosses, on_skin = np.asarray(rays.crosses), np.asarray(rays.face) >= 0
@@ -194,12 +196,12 @@ class ViewRays(eqx.Module):
 
 
 @program
-def _rays_of_view(scene: Scene, cameras: Camera, view: Int[Array, ""], key: Array, samples: int) -> ViewRays:
+def _rays_of_view(scene: Scene, camera: Camera, view: Int[Array, ""], key: Array, samples: int) -> ViewRays:
     """All rays of one view, along a curve that fills its image.
 
     Weights are those of an intensity, `group` is pixel + (number of pixels) * half, or -1.
     """
-    camera, key = jax.tree.map(lambda leaf: leaf[view], cameras), jax.random.fold_in(key, view)
+    key = jax.random.fold_in(key, view)
     tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
     offset = pixel_samples(key, tile.shape[0], samples)
     count = 2 * offset.shape[0]

@@ -124,6 +124,12 @@ class Camera(eqx.Module):
         local = dot((point - self.target[around])[..., None, :], self.frame[around])
         return local[..., :2] / (1 - local[..., 2:] * self.inverse_range)
 
+    def undivided(self) -> Camera:
+        """The same frame as one pixel: what looks at no pixels compiles once for images of all shapes."""
+        xp, pixel = on_host(self.pixel)
+        size = pixel * xp.asarray(self.shape[::-1], pixel.dtype)
+        return Camera(self.target, self.frame, self.inverse_range, placed(size), (1, 1))
+
     def half_size(self) -> Float[Array, " 2"]:
         """Half the image's width and height on the screen [2] [m]."""
         return jnp.stack([self.shape[1] * self.pixel[0], self.shape[0] * self.pixel[1]]) / 2

@@ -15,7 +15,7 @@ from jaxir._arrays import Check, as_float, enforce, is_traced, on_host, placed
 from jaxir._math import at_once, in_kernels, on_cpu
 from jaxir._programs import program
 from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays, turns
-from jaxir.geometry.search import may_see
+from jaxir.geometry.search import MARGIN, may_see
 from jaxir.imaging._entry import path_doubts, require_camera, require_parts
 from jaxir.imaging._estimate import Estimate, Seen, Varied, of_strata
 from jaxir.imaging._image import Image, image_of
@@ -203,8 +203,7 @@ def first_pass(
     checks += path_doubts(scene, camera.inverse_range)
     nodes = enforce(nodes, checks)
     method = method.resolved(scene)
-    lit, reach = _prepared(scene, nodes, camera)
-    lit = enforce(lit, [eye_outside(reach)])
+    lit = enforce(on_nodes(scene, nodes), eye_outside(scene, camera.inverse_range, camera.target))
     strata = division(samples, not is_traced((lit, camera, key)))
     taken = scattered_for(Pass(lit, camera, key, as_number(0), strata, method, parts_for()), method)
     return taken._replace(components=with_own_media(scene, nodes, method, components_of(scene, method, components)))
@@ -216,12 +215,6 @@ def scattered_for(taken: Pass, method: Method) -> Pass:
     if lit is not taken.lit:  # else nothing is found so, or was before
         lit = aimed(enforce(lit, solution_checks(lit)), taken.camera)
     return taken._replace(method=method, lit=lit)
-
-
-@program
-def _prepared(scene: Scene, nodes: Nodes, camera: Camera) -> tuple[Lit, Array]:
-    """The scene on the nodes, and how far it reaches towards the eye."""
-    return on_nodes(scene, nodes), reach_to_eye(scene, camera)
 
 
 def as_number(number: int) -> Array:
@@ -378,17 +371,12 @@ def see(taken: Pass, bundle: Bundle, key: Key[Array, ""]) -> Seen:
     return jax.tree.map(lit.nodes.in_band, Seen(in_kernels(found.radiance), without, orders, parts))
 
 
-def reach_to_eye(scene: Scene, camera: Camera) -> Float[Array, ""]:
-    """Radius of the scene about the camera's target over the distance of the eye."""
-    return scene.radius(camera.target) * camera.inverse_range
-
-
-def eye_outside(reach: Float[Array, "*view"]) -> Check:
-    """Rays start on the scene's bounding sphere, so the eye must be beyond it: `reach_to_eye` is less than 1."""
-    _, share = on_host(reach)
-    return Check(
-        "Camera: (radius of the scene about the target) / distance",
-        share,
-        share < 1,
-        "less than 1: an eye outside the scene's bounding sphere",
-    )
+def eye_outside(scene: Scene, inverse_range: Any, target: Array | None = None) -> list[Check]:
+    """Rays start on the scene's bounding sphere, so an eye must be beyond it; None aims at the scene's middle."""
+    if not is_traced(inverse_range) and not np.any(inverse_range):
+        return []
+    xp, points, near = on_host(scene.extent(), inverse_range)
+    centre = (points.max(axis=0) + points.min(axis=0)) / 2 if target is None else on_host(target)[1]
+    share = MARGIN * near * xp.sqrt(xp.max(xp.sum((points - centre[None]) ** 2, axis=1)))
+    name = "Camera: (radius of the scene about the target) / distance"
+    return [Check(name, share, share < 1, "less than 1: an eye outside the scene's bounding sphere")]

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Int
+from jaxtyping import Int
 from tqdm import tqdm
 
 from jaxir._arrays import is_traced, placed
@@ -51,10 +51,10 @@ def shared_by(devices: Any, items: int, what: str) -> Mesh | None:
 
 
 def over_items(
-    function: Callable[[Any, Array], Any],
+    function: Callable[[Any, Any], Any],
     whole: Callable[[Any, Any], Any],
     inputs: Any,
-    items: Int[np.ndarray, " item"],
+    items: Any,
     label: str,
     devices: Mesh | None = None,
     quick: bool = False,
@@ -65,7 +65,7 @@ def over_items(
         function: of a module, so that it is compiled once.
         whole: of a module, too; results come stacked [item, ...].
         inputs: a pytree; its arrays may be traced.
-        items: numbers of the items.
+        items: a pytree of arrays [item, ...]; may be traced.
         label: of the progress bar.
         devices: of `shared_by`; None for one.
         quick: whether all items together take no longer than a few calls.
@@ -74,30 +74,55 @@ def over_items(
         What `whole` makes: of one program where inputs are traced, which is compiled once for each structure, or on one
         device all is quick; else of a loop on the host.
 
-    Differentiable in inputs as the two functions are.
+    Differentiable in inputs and items as the two functions are.
     """
-    if is_traced(inputs):
-        return _in_one_program(function, whole, inputs, placed(items), devices)
+    if is_traced((inputs, items)):
+        return _in_one_program(function, whole, inputs, jax.tree.map(placed, items), devices)
     if quick and devices is None:
         with progress(label, 1):
-            return _in_one_program(function, whole, inputs, placed(items), None)
-    results = [part for _, part in item_by_item(function, inputs, items, label, devices)]
-    return _joined(whole, inputs, results, devices is not None)
+            return _in_one_program(function, whole, inputs, jax.tree.map(placed, items), None)
+    return _joined(whole, inputs, _results(function, inputs, items, label, devices), devices is not None)
+
+
+def stacked(
+    function: Callable[[Any, Any], Any], inputs: Any, items: Any, label: str, devices: Mesh | None = None
+) -> Any:
+    """Results of `function(inputs, item)` [item, ...], as `over_items`; how many there are compiles nothing anew."""
+    if is_traced((inputs, items)):
+        return over_items(function, _as_found, inputs, items, label, devices)
+    join = np.stack if devices is None else np.concatenate
+    results = _results(function, inputs, items, label, devices)
+    return jax.tree.map(lambda *leaves: placed(join([np.asarray(leaf) for leaf in leaves])), *results)
+
+
+def _as_found(inputs: Any, results: Any) -> Any:
+    return results
+
+
+def _results(
+    function: Callable[[Any, Any], Any], inputs: Any, items: Any, label: str, devices: Mesh | None
+) -> list[Any]:
+    return [part for _, part in item_by_item(function, inputs, jax.tree.map(np.asarray, items), label, devices)]
+
+
+def _count(items: Any) -> int:
+    return jax.tree.leaves(items)[0].shape[0]
 
 
 @program
 def _in_one_program(
-    function: Callable[[Any, Array], Any],
+    function: Callable[[Any, Any], Any],
     whole: Callable[[Any, Any], Any],
     inputs: Any,
-    items: Int[Array, " item"],
+    items: Any,
     devices: Mesh | None,
 ) -> Any:
     if devices is None:
         return whole(inputs, lax.map(lambda item: function(inputs, item), items))
-    rows = jnp.asarray(_rows(np.arange(items.shape[0]), devices.size))
-    stacked = lax.map(lambda row: _on_devices(function, inputs, items[row], devices), rows)
-    return whole(inputs, jax.tree.map(lambda leaf: leaf.reshape((-1,) + leaf.shape[2:])[: items.shape[0]], stacked))
+    count = _count(items)
+    rows = jnp.asarray(_rows(np.arange(count), devices.size))
+    every = lax.map(lambda row: _on_devices(function, inputs, _at(items, row), devices), rows)
+    return whole(inputs, jax.tree.map(lambda leaf: leaf.reshape((-1,) + leaf.shape[2:])[:count], every))
 
 
 @program
@@ -107,34 +132,47 @@ def _joined(whole: Callable[[Any, Any], Any], inputs: Any, results: list[Any], r
 
 
 def item_by_item(
-    function: Callable[[Any, Array], Any],
+    function: Callable[[Any, Any], Any],
     inputs: Any,
-    items: Int[np.ndarray, " item"],
+    items: Any,
     label: str,
     devices: Mesh | None = None,
 ) -> Iterator[tuple[Int[np.ndarray, " some"], Any]]:
-    """Items and results of `function(inputs, item)` as they are ready.
+    """Places of items and results of `function(inputs, item)` as they are ready.
 
     One by one with the result of one, or with `devices` one of each and the results stacked [item, ...].
+
+    Args:
+        function: as in `over_items`, and so on.
+        inputs: a pytree.
+        items: a pytree of arrays of numpy [item, ...].
+        label: of the progress bar.
+        devices: of `shared_by`; None for one.
     """
+    count = _count(items)
     if devices is None:
         of = of_items(function, inputs)
-        with progress(label, len(items)) as done:
-            every = each_of(lambda item: jax.block_until_ready(of(item)), items)
-            for item, result in zip(items, every, strict=True):
-                yield np.asarray([item]), result
+        with progress(label, count) as done:
+            every = each_of(lambda place: jax.block_until_ready(of(_at(items, place))), range(count))
+            for place, result in enumerate(every):
+                yield np.asarray([place]), result
                 done(1)
         return
     shared = NamedSharding(devices, PartitionSpec())
     inputs = eqx.filter_shard(inputs, shared)  # in every process they must be the same
-    with progress(label, len(items)) as done:
-        for start in range(0, items.shape[0], devices.size):
-            own = items[start : start + devices.size]
-            row = eqx.filter_shard(placed(_rows(own, devices.size)[0]), shared)
-            every = _on_devices(function, inputs, row, devices)
-            result = jax.tree.map(lambda leaf, own=own: leaf.addressable_data(0)[: own.shape[0]], every)
+    with progress(label, count) as done:
+        for row in _rows(np.arange(count), devices.size):
+            given = eqx.filter_shard(jax.tree.map(placed, _at(items, row)), shared)
+            every = _on_devices(function, inputs, given, devices)
+            own = np.unique(row)
+            result = jax.tree.map(lambda leaf, own=own: leaf.addressable_data(0)[: own.size], every)
             yield own, jax.block_until_ready(result)
-            done(len(own))
+            done(own.size)
+
+
+def _at(items: Any, place: Any) -> Any:
+    """The item at a place, or those at some."""
+    return jax.tree.map(lambda leaf: leaf[place], items)
 
 
 @contextlib.contextmanager
@@ -157,12 +195,12 @@ def _rows(items: np.ndarray, count: int) -> np.ndarray:
 
 
 @program
-def _on_devices(function: Callable[[Any, Array], Any], inputs: Any, row: Array, devices: Mesh) -> Any:
+def _on_devices(function: Callable[[Any, Any], Any], inputs: Any, row: Any, devices: Mesh) -> Any:
     """One item on each device; results [device, ...], the same in all processes."""
     arrays, rest = eqx.partition(inputs, eqx.is_array)
 
-    def one(arrays: Any, own: Array) -> Any:
-        return jax.tree.map(lambda leaf: leaf[None], function(eqx.combine(arrays, rest), own[0]))
+    def one(arrays: Any, own: Any) -> Any:
+        return jax.tree.map(lambda leaf: leaf[None], function(eqx.combine(arrays, rest), _at(own, 0)))
 
     here, shared = PartitionSpec(AXIS), PartitionSpec()
     spread = jax.shard_map(one, mesh=devices, in_specs=(shared, here), out_specs=here, check_vma=False)

@@ -18,6 +18,7 @@ from jaxir._math import matmul, safe_sqrt
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.geometry.search import is_convex
+from jaxir.imaging._devices import stacked
 from jaxir.imaging._quadrature import quadrature_error, refined
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene, nodes_error, on_nodes
@@ -74,7 +75,7 @@ class Asked(eqx.Module):
         if not look:
             return None
         with jax.ensure_compile_time_eval():
-            found = left_out(_on_nodes(self.scene, self.nodes), self._views(), _further(self.method, 0))
+            found = left_out(on_nodes(self.scene, self.nodes), self._views(), _further(self.method, 0))
             return self._by_view(found[:, 0])
 
     def _views(self) -> Camera:
@@ -87,9 +88,6 @@ class Asked(eqx.Module):
     def _none(self) -> Float[Array, "*view band"]:
         shape = (*self.cameras.frame.shape[:-2], self.nodes.response.shape[0])
         return placed(np.zeros(shape, self.nodes.weight.dtype))
-
-
-_on_nodes = program(on_nodes)
 
 
 def lights_its_skin(scene: Scene) -> bool:
@@ -152,7 +150,6 @@ def _further(method: Method, more: int) -> Method:
     return dataclasses.replace(method, bounces=method.bounces + more + FURTHER)
 
 
-@program
 def left_out(lit: Lit, cameras: Camera, method: Method) -> Float[Array, "view bounce band"]:
     """About what more bounces would add to the intensity of views [view, bounce, band] [W sr-1].
 
@@ -173,6 +170,14 @@ def left_out(lit: Lit, cameras: Camera, method: Method) -> Float[Array, "view bo
         cameras: [view].
         method: with `FURTHER` bounces more than were followed.
     """
+    views = jax.vmap(Camera.undivided)(cameras), np.arange(cameras.frame.shape[0], dtype=np.uint32)
+    return stacked(_beyond, (lit, method), views, "bounces")
+
+
+@program
+def _beyond(asked: tuple[Lit, Method], view: tuple[Camera, Array]) -> Float[Array, "bounce band"]:
+    """`left_out` of one view, with its number."""
+    (lit, method), (camera, number) = asked, view
     skin, nodes = lit.scene.skin, lit.nodes
     assert skin is not None
     mesh, closed = skin.mesh, skin.mesh.closed
@@ -181,37 +186,31 @@ def left_out(lit: Lit, cameras: Camera, method: Method) -> Float[Array, "view bo
     glow = nodes.in_band(jnp.broadcast_to(lit.blackbody, (mesh.count, nodes.count)))
     shine = jnp.mean(glow / jnp.where(glow.max(axis=0) > 0, glow.max(axis=0), 1)[None], axis=1)
 
-    def one(own: tuple[Camera, Array]) -> Array:
-        camera, key = own
-        for_place, for_paths = jax.random.split(key)
-        eye = _to_eye(camera, corners.mean(axis=1))
-        facing = jnp.sum(vector * eye, axis=1)
-        facing = jnp.maximum(facing, 0) if closed else jnp.abs(facing)
-        drawn = facing * shine
-        drawn = facing / _sum(facing) + drawn / _sum(drawn)  # half of the paths from where it is warm
-        sums = jnp.cumsum(drawn)
-        u = jax.random.uniform(for_place, (PATHS, 3), corners.dtype)
-        even = (jnp.arange(PATHS, dtype=u.dtype) + u[:, 0]) / PATHS
-        face = jnp.clip(jnp.searchsorted(sums, even * sums[-1]), 0, mesh.count - 1)
-        root = jnp.sqrt(u[:, 1])
-        share = jnp.stack([1 - root, root * (1 - u[:, 2]), root * u[:, 2]], axis=1)
-        point = jnp.sum(share[:, :, None] * corners[face], axis=1)
-        screen = camera.project(point)
-        rays = camera.bundle(screen, lit.scene.start(camera)).rays()
-        paths = trace(lit.scene, rays, method, for_paths)
-        half = camera.half_size()
-        seen = (paths.face == face) & jnp.all(jnp.abs(screen) <= half[None], axis=1) & (facing[face] > 0)
-        height = matmul(point - camera.target[None], camera.frame[2])
-        slant = camera.slant(screen)
-        turned = jnp.abs(jnp.sum(vector[face] * _to_eye(camera, point), axis=1)) / jnp.where(seen, drawn[face], 1)
-        weight = jnp.where(seen, sums[-1] * turned / ((1 - height * camera.inverse_range) ** 3 * slant**2), 0)
-        found = nodes.in_band(bounced(lit, paths, method.bounces + 1 - FURTHER)) * weight[None, :, None]
-        most = jax.vmap(lambda own: own.directional_reflectance(cosine))(skin.brdf.at(face))
-        return _series(found, jnp.max(most))
-
-    cosine = as_float(0.5)
-    keys = jax.random.split(jax.random.key(0), cameras.frame.shape[0])
-    return lax.map(one, (cameras, keys))
+    for_place, for_paths = jax.random.split(jax.random.fold_in(jax.random.key(0), number))
+    eye = _to_eye(camera, corners.mean(axis=1))
+    facing = jnp.sum(vector * eye, axis=1)
+    facing = jnp.maximum(facing, 0) if closed else jnp.abs(facing)
+    drawn = facing * shine
+    drawn = facing / _sum(facing) + drawn / _sum(drawn)  # half of the paths from where it is warm
+    sums = jnp.cumsum(drawn)
+    u = jax.random.uniform(for_place, (PATHS, 3), corners.dtype)
+    even = (jnp.arange(PATHS, dtype=u.dtype) + u[:, 0]) / PATHS
+    face = jnp.clip(jnp.searchsorted(sums, even * sums[-1]), 0, mesh.count - 1)
+    root = jnp.sqrt(u[:, 1])
+    share = jnp.stack([1 - root, root * (1 - u[:, 2]), root * u[:, 2]], axis=1)
+    point = jnp.sum(share[:, :, None] * corners[face], axis=1)
+    screen = camera.project(point)
+    rays = camera.bundle(screen, lit.scene.start(camera)).rays()
+    paths = trace(lit.scene, rays, method, for_paths)
+    half = camera.half_size()
+    seen = (paths.face == face) & jnp.all(jnp.abs(screen) <= half[None], axis=1) & (facing[face] > 0)
+    height = matmul(point - camera.target[None], camera.frame[2])
+    slant = camera.slant(screen)
+    turned = jnp.abs(jnp.sum(vector[face] * _to_eye(camera, point), axis=1)) / jnp.where(seen, drawn[face], 1)
+    weight = jnp.where(seen, sums[-1] * turned / ((1 - height * camera.inverse_range) ** 3 * slant**2), 0)
+    found = nodes.in_band(bounced(lit, paths, method.bounces + 1 - FURTHER)) * weight[None, :, None]
+    most = jax.vmap(lambda own: own.directional_reflectance(as_float(0.5)))(skin.brdf.at(face))
+    return _series(found, jnp.max(most))
 
 
 def _sum(values: Array) -> Array:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._math import matmul
 from jaxir._programs import program
 from jaxir.geometry import Camera
+from jaxir.imaging._devices import stacked
 from jaxir.optics.spectrum import Nodes
-from jaxir.scene import Scene, on_nodes
+from jaxir.scene import Lit, Scene, on_nodes
 from jaxir.scene.plume import AbstractPlume
 from jaxir.transport import Method, evaluate, trace
 
@@ -30,7 +31,6 @@ def refined(scene: Scene) -> list[tuple[AbstractPlume, Scene]]:
     ]
 
 
-@program
 def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera) -> Float[Array, "view band"]:
     """About what the quadrature of the plumes errs in the intensity of views [view, band] [W sr-1].
 
@@ -43,16 +43,19 @@ def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera) -> Float[Array
         nodes: the spectral axis.
         cameras: [view].
     """
-    lit = on_nodes(scene, nodes)
+    both = [(plume.extent(), on_nodes(finer, nodes)) for plume, finer in refined(scene)]
+    return stacked(_changes, (on_nodes(scene, nodes), both), jax.vmap(Camera.undivided)(cameras), "quadrature")
 
-    def one(camera: Camera) -> Array:
-        total = jnp.zeros(nodes.response.shape[0], camera.pixel.dtype)
-        for plume, finer in refined(scene):
-            screen, weight = camera.spread_over(plume.extent(), SIDE)
-            rays = camera.bundle(screen, lit.scene.start(camera)).rays()
-            paths = trace(lit.scene, rays, Method(direct=None, orders=0))
-            change = evaluate(on_nodes(finer, nodes), paths) - evaluate(lit, paths)
-            total = total + jnp.abs(nodes.in_band(matmul(weight, change)))
-        return SLOW * total
 
-    return lax.map(one, cameras)
+@program
+def _changes(asked: tuple[Lit, list[tuple[Array, Lit]]], camera: Camera) -> Float[Array, " band"]:
+    """`SLOW` times what changes in one view as the panels of each plume are doubled."""
+    lit, both = asked
+    total = jnp.zeros(lit.nodes.response.shape[0], camera.pixel.dtype)
+    for extent, finer in both:
+        screen, weight = camera.spread_over(extent, SIDE)
+        rays = camera.bundle(screen, lit.scene.start(camera)).rays()
+        paths = trace(lit.scene, rays, Method(direct=None, orders=0))
+        change = evaluate(finer, paths) - evaluate(lit, paths)
+        total = total + jnp.abs(lit.nodes.in_band(matmul(weight, change)))
+    return SLOW * total

@@ -74,10 +74,10 @@ def repeats(
 
 
 def until_met(
-    look: Callable[[Any, Array], tuple[Array, ...]],
+    look: Callable[[Any, Any], tuple[Array, ...]],
     inputs: Any,
     views: Int[np.ndarray, " some"],
-    count: int,
+    looks_at: Callable[[Int[np.ndarray, " look"], Int[np.ndarray, " look"]], Any],
     asked: Repeats | None,
     label: str,
     devices: Mesh | None,
@@ -85,11 +85,11 @@ def until_met(
     """Views and what was found of each, as it is ready.
 
     Args:
-        look: `look(inputs, view + number * count)` of a look at a view: its intensity, its standard error and the share
-            left out [band], and by component the same two; compiled once.
+        look: `look(inputs, item)` of a look at a view: its intensity, its standard error and the share left out [band],
+            and by component the same two; compiled once.
         inputs: its first argument.
         views: those to look at.
-        count: of all views.
+        looks_at: the items of looks, stacked, of their views and their numbers, which count through the looks at each.
         asked: what is asked of each; None for one look.
         label: of the progress bar.
         devices: that share the looks; None for one.
@@ -99,17 +99,18 @@ def until_met(
     wanted = {int(view): first for view in views}
     begin, squared = dict.fromkeys(wanted, 0), dict.fromkeys(wanted, 0.0)
     for round_ in range(1 + ROUNDS):
-        items = [v + count * number for v, looks in wanted.items() for number in range(begin[v], begin[v] + looks)]
+        every = [(v, number) for v, looks in wanted.items() for number in range(begin[v], begin[v] + looks)]
+        items = looks_at(np.array([v for v, _ in every], np.int32), np.array([n for _, n in every], np.int32))
         more: dict[int, int] = {}
         short: dict[int, list[np.ndarray]] = {}
         seen: list[list[np.ndarray]] = []
         times = []
-        for index, found in item_by_item(look, inputs, np.asarray(items, np.int32), label, devices):
+        for places, found in item_by_item(look, inputs, items, label, devices):
             times.append(time.perf_counter())
             rows = [np.asarray(part)[None] if devices is None else np.asarray(part) for part in found]
-            for place, item in enumerate(index.tolist()):
-                seen.append([part[place] for part in rows])
-                view = item % count
+            for row, place in enumerate(places.tolist()):
+                seen.append([part[row] for part in rows])
+                view, _ = every[place]
                 if len(seen) < wanted[view]:
                     continue
                 values, seen = _mean(seen), []
@@ -123,8 +124,8 @@ def until_met(
                     short[view] = values
         if not more:
             return
-        each = (times[-1] - times[0]) / (len(items) - 1) if len(items) > 1 else each
-        left -= each * len(items)
+        each = (times[-1] - times[0]) / (len(every) - 1) if len(every) > 1 else each
+        left -= each * len(every)
         wanted = _in_time(more, left / each if each > 0 else math.inf)
         yield from ((view, values) for view, values in short.items() if view not in wanted)
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxir._arrays import as_float, enforce, is_traced, key_or_default, on_host, placed, require
 from jaxir._programs import program
-from jaxir.geometry import Camera, fitted_camera, in_front, pixel_strata, view_checks
+from jaxir.geometry import Camera, in_front, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import (
     Division,
@@ -25,10 +25,9 @@ from jaxir.imaging._chunks import (
     estimate_chunk,
     eye_outside,
     parts_for,
-    reach_to_eye,
     whole_image,
 )
-from jaxir.imaging._devices import over_items, shared_by
+from jaxir.imaging._devices import shared_by, stacked
 from jaxir.imaging._entry import path_doubts, require_parts
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._planning import way_for_views
@@ -114,28 +113,52 @@ class Signature(eqx.Module):
         return np.maximum(sampled, asked.beyond(intensity, self.truncation)) <= 1
 
 
+class Shared(NamedTuple):
+    """What looks at views have in common.
+
+    Attributes:
+        lit: the scene on the nodes.
+        key: random key; that of a view does not depend on how many follow.
+        strata: in a pixel.
+        method: how radiance is found.
+        components: by which intensities are split; None for none.
+    """
+
+    lit: Lit
+    key: Array
+    strata: Division
+    method: Method
+    components: Components | None
+
+
+class Look(NamedTuple):
+    """A look at a view, or stacked ones.
+
+    Attributes:
+        view: number of the view.
+        number: of the look at it.
+        camera: the eye.
+    """
+
+    view: Array | np.ndarray
+    number: Array | np.ndarray
+    camera: Camera
+
+
 class Views(NamedTuple):
     """What is seen from where, ready to be computed view by view.
 
     Attributes:
-        lit: the scene on the nodes.
+        shared: what looks at views have in common.
         cameras: of all views [view].
-        key: random key; that of a view does not depend on how many follow.
-        strata: in a pixel.
-        method: how radiance is found.
         aspect: azimuth and elevation [view, 2] [deg].
-        components: by which intensities are split; None for none.
         left: share that bounces leave out [band], where the method was chosen, else None.
     """
 
-    lit: Lit
+    shared: Shared
     cameras: Camera
-    key: Array
-    strata: Division
-    method: Method
     aspect: Array
-    components: Components | None = None
-    left: Array | None = None
+    left: Array | None
 
 
 def signature(
@@ -207,13 +230,14 @@ def signature(
     )
     index = np.arange(asked.aspect.shape[0], dtype=np.int32)
     mesh = shared_by(devices, index.size, "views")
-    if until is None:
-        return remembering(over_items(view_intensity, whole_table, asked, index, "signature", mesh), scene, asked)
+    if is_traced(asked):
+        looks = Look(placed(index), placed(np.zeros(index.size, np.int32)), asked.cameras)
+        return whole_table(asked, stacked(view_intensity, asked.shared, looks, "signature", mesh))
     found: list[Any] = [None] * index.size
     for view, values in each_view(asked, index, until, "signature", mesh):
         found[view] = values
-    stacked = tuple(placed(np.stack(part)) for part in zip(*found, strict=True))
-    return remembering(whole_table(asked, stacked), scene, asked)
+    every = tuple(placed(np.stack(part)) for part in zip(*found, strict=True))
+    return remembering(whole_table(asked, every), scene, asked)
 
 
 def each_view(
@@ -228,20 +252,27 @@ def each_view(
         label: of the progress bar.
         devices: of `shared_by`; None for one.
     """
-    return until_met(view_intensity, views, index, views.aspect.shape[0], until, label, devices)
+    cameras = jax.tree.map(np.asarray, views.cameras)
+
+    def looks_at(view: Int[np.ndarray, " look"], number: Int[np.ndarray, " look"]) -> Look:
+        return Look(view, number, jax.tree.map(lambda leaf: leaf[view], cameras))
+
+    return until_met(view_intensity, views.shared, index, looks_at, until, label, devices)
 
 
 def remembering(table: Signature, scene: Scene, views: Views) -> Signature:
     """The table with what it was asked of, where all of it is known."""
-    asked = Asked(scene, views.lit.nodes, views.cameras, views.method, views.left)
+    asked = Asked(scene, views.shared.lit.nodes, views.cameras, views.shared.method, views.left)
     return table if is_traced((table, asked)) else dataclasses.replace(table, asked=asked)
 
 
 def whole_table(views: Views, found: tuple[Array, ...]) -> Signature:
     """The table of what `view_intensity` found in all views."""
     intensity, error, truncation, *parts = found
-    azimuth, elevation = views.aspect.T
-    nodes, names = views.lit.nodes, () if views.components is None else views.components.names
+    _, aspect = on_host(views.aspect)
+    azimuth, elevation = (placed(angle) for angle in aspect.T)
+    shared, nodes = views.shared, views.shared.lit.nodes
+    names = () if shared.components is None else shared.components.names
     own = nodes.names, truncation, nodes.error, None, names, *(parts or (None, None))
     return Signature(azimuth, elevation, intensity, error, *own)
 
@@ -266,8 +297,10 @@ def prepare_views(
         )
     given, left = Method() if method is None else method, None
     aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, given)
-    lit, cameras, reach = _prepared(scene, nodes, aspect, shape, away)
-    lit, key = enforce(lit, [*cameras.checks(), eye_outside(reach)]), key_or_default(key)
+    lit = on_nodes(scene, nodes)
+    cameras = graded_cameras(lit, aspect, shape, away)
+    lit = enforce(lit, [*cameras.checks(), *eye_outside(scene, 1 / on_host(away)[1])])
+    key = key_or_default(key)
     if method is None and until is not None:
         given, found = way_for_views(lit, cameras, key, until.goal(samples))
         left = as_float(found)
@@ -276,7 +309,7 @@ def prepare_views(
     lit = enforce(lit, solution_checks(lit))
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
     strata = division(samples, not is_traced((lit, cameras, key)))
-    return Views(lit, cameras, key, strata, method, aspect, split, left)
+    return Views(Shared(lit, key, strata, method, split), cameras, aspect, left)
 
 
 def check_views(
@@ -302,10 +335,10 @@ def check_views(
     components_of(scene, resolved, components)
 
     def ready(*asked: Any) -> Lit:
-        return with_scattered(_prepared(*asked)[0], resolved)
+        return with_scattered(on_nodes(*asked), resolved)
 
-    eqx.filter_eval_shape(ready, scene, nodes, aspect, shape, away)  # parts that do not suit the nodes
-    enforce(nodes, [eye_outside(_reach(scene, aspect, shape, away))])
+    eqx.filter_eval_shape(ready, scene, nodes)  # parts that do not suit the nodes
+    enforce(nodes, eye_outside(scene, 1 / on_host(away)[1]))
 
 
 def _checked(
@@ -323,33 +356,11 @@ def _checked(
 
 
 @program
-def _reach(scene: Scene, aspect: Array, shape: tuple[int, int], distance: Array) -> Array:
-    """How far the scene reaches towards the eyes of cameras that hold it [view]."""
-    extent = scene.extent()
-    return jax.vmap(lambda a: reach_to_eye(scene, fitted_camera(a[0], a[1], extent, shape, distance)))(aspect)
-
-
-@program
-def _prepared(
-    scene: Scene, nodes: Nodes, aspect: Array, shape: tuple[int, int], distance: Array
-) -> tuple[Lit, Camera, Array]:
-    """The scene on the nodes, the cameras of all views [view], and how far it reaches towards their eyes [view]."""
-    lit = on_nodes(scene, nodes)
-    cameras = graded_cameras(lit, aspect, shape, distance)
-    return lit, cameras, jax.vmap(lambda camera: reach_to_eye(scene, camera))(cameras)
-
-
-@program
-def view_intensity(views: Views, item: Int[Array, ""]) -> tuple[Array, ...]:
-    """Contrast intensity of one view, its standard error, the share left out [band]; by component, with errors.
-
-    Looks at all views are counted through: `item` is the view and, for each look before, the number of views.
-    """
-    number, index = jnp.divmod(item, jnp.asarray(views.aspect.shape[0], item.dtype))
-    camera = jax.tree.map(lambda leaf: leaf[index], views.cameras)
-    key = jax.random.fold_in(views.key, index)
-    own = key, number.astype(jnp.uint32), views.strata, views.method, parts_for()
-    taken = Pass(aimed(views.lit, camera), camera, *own, components=views.components)
+def view_intensity(shared: Shared, look: Look) -> tuple[Array, ...]:
+    """Contrast intensity of one view, its standard error, the share left out [band]; by component, with errors."""
+    lit, camera, key = shared.lit, look.camera, jax.random.fold_in(shared.key, look.view)
+    own = key, jnp.asarray(look.number, jnp.uint32), shared.strata, shared.method, parts_for()
+    taken = Pass(aimed(lit, camera), camera, *own, components=shared.components)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
-    parts = () if views.components is None else (image.component_intensity(), image.component_error())
+    parts = () if shared.components is None else (image.component_intensity(), image.component_error())
     return image.radiant_intensity(), image.intensity_error(), image.truncation, *parts

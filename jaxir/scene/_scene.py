@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check, require_precision
 from jaxir._fields import by_band
 from jaxir._math import radius_about
+from jaxir._programs import program
 from jaxir.geometry import Camera, Rays
 from jaxir.geometry.search import MARGIN, WIDTH, clear_of, outline
 from jaxir.medium import AbstractMedium
@@ -143,6 +144,7 @@ class Scene(eqx.Module):
         """
         return on_nodes(self, nodes)
 
+    @program
     def extent(self) -> Float[Array, "corner 3"]:
         """Points whose convex hull holds skin and plumes [corner, 3] [m]: mesh vertices and corners of the plumes."""
         skin = [] if self.skin is None else [self.skin.mesh.vertices]
@@ -273,6 +275,7 @@ class Lit(eqx.Module):
         return Lit(bare, self.nodes, self.blackbody, None, self.air, ())
 
 
+@program
 def on_nodes(scene: Scene, nodes: Nodes) -> Lit:
     """A scene on the nodes. Differentiable in every radiometric leaf of the scene.
 

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, is_traced, placed
 from jaxir._math import dot, einsum, matmul
 from jaxir._programs import program
 from jaxir.geometry import Brightness, Camera, Rays, graded_camera
@@ -23,6 +23,7 @@ from jaxir.geometry.search import any_hit, face_normal
 from jaxir.scene import Lit
 
 PROJECTED = 2**16  # points of faces, but at least four of each
+VIEWS = 64  # whose cameras are made by one program, however many of them are wanted
 
 
 class _Shining(NamedTuple):
@@ -146,7 +147,15 @@ def _centres(cuts: int) -> np.ndarray:
     return np.concatenate([1 - two.sum(axis=1, keepdims=True), two], axis=1)
 
 
-@program
+class _Outlook(NamedTuple):
+    """What cameras are made of, see `graded_camera`."""
+
+    extent: Float[Array, "corner 3"]
+    bright: Brightness
+    shape: tuple[int, int]
+    distance: Array
+
+
 def graded_cameras(lit: Lit, aspect: Float[Array, "view 2"], shape: tuple[int, int], distance: Any) -> Camera:
     """Cameras [view] that hold the scene and are graded by its brightness, for intensities; see `graded_camera`.
 
@@ -156,8 +165,32 @@ def graded_cameras(lit: Lit, aspect: Float[Array, "view 2"], shape: tuple[int, i
         shape: rows and columns.
         distance: from the middle of the scene to the sensor [m]; inf allowed.
     """
-    bright, extent = brightness(lit), lit.scene.extent()
-    return lax.map(lambda a: graded_camera(a[0], a[1], extent, bright, shape, distance), aspect)
+    outlook = _Outlook(lit.scene.extent(), _bright(lit), shape, as_float(distance))
+    if is_traced((outlook, aspect)):
+        return _cameras(outlook, aspect, None)
+    count, given = aspect.shape[0], np.asarray(aspect)
+    more = -count % VIEWS
+    found = _cameras(outlook, placed(np.pad(given, ((0, more), (0, 0)))), placed(np.arange(count + more) < count))
+    return jax.tree.map(lambda leaf: placed(np.asarray(leaf)[:count]), found)
+
+
+@program
+def _bright(lit: Lit) -> Brightness:
+    return brightness(lit)
+
+
+@program
+def _cameras(outlook: _Outlook, aspect: Float[Array, "view 2"], wanted: Bool[Array, " view"] | None) -> Camera:
+    """A camera for every aspect, zeros for those that are not wanted."""
+    own = outlook.extent, outlook.bright, outlook.shape, outlook.distance
+
+    def camera(aspect: Array) -> Camera:
+        return graded_camera(aspect[0], aspect[1], *own)
+
+    if wanted is None:
+        return lax.map(camera, aspect)
+    none = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(camera, aspect[0]))
+    return lax.map(lambda one: lax.cond(one[1], camera, lambda _: none, one[0]), (aspect, wanted))
 
 
 def _of_skin(lit: Lit, corners: Float[Array, "face 3 3"], behind: Array | None) -> Float[Array, "face node"]:

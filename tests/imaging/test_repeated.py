@@ -28,7 +28,7 @@ def looks(monkeypatch):
 
     def watched(function, inputs, items, *rest):
         for index, result in item_by_item(function, inputs, items, *rest):
-            taken.extend((index % len(VIEWS)).tolist())
+            taken.extend(items.view[index].tolist())
             yield index, result
 
     item_by_item = repeated.item_by_item
@@ -53,7 +53,9 @@ def test_the_error_asked_is_the_error_obtained_and_the_mean_is_not_biased(rtol):
 
 
 def test_what_is_exact_enough_is_looked_at_once(looks):
-    once, often = seen(), seen(rtol=0.01)
+    once = seen()
+    del looks[:]
+    often = seen(rtol=0.01)
     found, error = np.asarray(once.intensity)[:, 0], np.asarray(once.standard_error)[:, 0]
     enough = error <= 0.01 * found / 3
     assert enough[3] and not enough[:3].any()
@@ -89,8 +91,9 @@ def test_seconds_end_it_with_what_they_allowed(looks, monkeypatch):
     short = seen(rtol=1e-2, max_seconds=everything / 2)
     assert everything / 4 < len(looks) <= everything / 2 and not short.meets(1e-2)[:3].all()
     del looks[:]
-    first, once = seen(rtol=1e-2, max_seconds=len(VIEWS) + 0.5), seen()
+    first = seen(rtol=1e-2, max_seconds=len(VIEWS) + 0.5)
     assert len(looks) == len(VIEWS)
+    once = seen()
     np.testing.assert_array_equal(np.asarray(first.intensity), np.asarray(once.intensity))
     del looks[:]
     jaxir.signature(SCENE, VIEWS[:1], jaxir.LWIR, **RASTER, method=jaxir.Method(), rtol=1e-3, max_seconds=20.0)

@@ -131,10 +131,10 @@ def sweep(
     mesh = shared_by(devices, asked.aspect.shape[0], "views")
     conditions = _conditions(
         scene=scene,
-        bands=asked.lit.nodes,
+        bands=asked.shared.lit.nodes,
         distance=as_float(distance),
         pixels=(shape, samples),
-        method=None if chosen else asked.method,
+        method=None if chosen else asked.shared.method,
         key=jax.random.key_data(key_or_default(key)),
         **({} if components is None else {"components": components}),
         **({} if until is None else {"tolerance": until._replace(seconds=math.inf)}),  # it may go on for longer
@@ -146,7 +146,7 @@ def sweep(
         if there.any():
             raise ValueError(f"{files.path}: got views without {WAY}, expected both or none")
         if jax.process_index() == 0:
-            write_way(files.path, asked.method)
+            write_way(files.path, asked.shared.method)
     to_do = np.flatnonzero(~there).astype(np.int32)
     for view, values in each_view(asked, to_do, until, "sweep", mesh):
         if jax.process_index() == 0:
@@ -245,9 +245,9 @@ class _Folder:
     """The files of one sweep."""
 
     def __init__(self, path: Path, views: Views):
-        self.path, self.bands = path, views.lit.nodes.names
+        self.path, self.bands = path, views.shared.lit.nodes.names
         self.aspect = np.asarray(views.aspect)
-        self.components = () if views.components is None else views.components.names
+        self.components = () if views.shared.components is None else views.shared.components.names
         width = len(self.bands)
         split = [(len(self.components), width)] * 2 if self.components else []
         self.shapes = [(width,), (width,), (width,), *split]  # of the values of a view
