@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -30,6 +31,7 @@ class Measurement(eqx.Module):
         method: how the prediction finds light, as in `render`.
         samples: rays per pixel; even.
         per_pixel: whether each row is a pixel's radiance (one view) or a view's radiant intensity.
+        bands: whose nodes a scene is still to choose, see `resolved`; None where they are known.
     """
 
     value: Float[Array, "row band"]
@@ -39,6 +41,13 @@ class Measurement(eqx.Module):
     method: Method
     samples: int = eqx.field(static=True)
     per_pixel: bool = eqx.field(static=True)
+    bands: tuple[Band, ...] | None = None
+
+    def resolved(self, scene: Scene) -> Measurement:
+        """The same on the nodes that a scene needs, where bands were given."""
+        if self.bands is None:
+            return self
+        return dataclasses.replace(self, nodes=scene_nodes(scene, self.bands), bands=None)
 
     def checks(self) -> list[Check]:
         """Values are finite, standard deviations positive."""
@@ -102,7 +111,7 @@ def measured_image(
 
     Args:
         camera: the view.
-        bands: bands or nodes.
+        bands: bands or nodes; bands become the nodes that the scene of a fit needs, as in `render`.
         value: [row, column, band] [W m-2 sr-1].
         standard_deviation: of each value, or one for all.
         samples: rays per pixel; even.
@@ -114,10 +123,11 @@ def measured_image(
     Raises:
         ValueError: as `measured_intensity`.
     """
-    nodes = as_nodes(bands)
+    nodes, several = as_nodes(bands), (bands,) if isinstance(bands, Band) else bands
     wanted = (*camera.shape, len(nodes.names))
     one = jax.tree.map(lambda leaf: broadcast(leaf, (1, *leaf.shape)), camera)
-    return _measurement(value, standard_deviation, wanted, one, nodes, method, samples, True)
+    made = _measurement(value, standard_deviation, wanted, one, nodes, method, samples, True)
+    return made if isinstance(several, Nodes) else dataclasses.replace(made, bands=tuple(several))
 
 
 def _measurement(

@@ -268,9 +268,10 @@ def _merged(scene: Scene, measurement: Measurement, rays: ViewRays) -> ViewRays:
 def _alike(scene: Scene, measurement: Measurement) -> bool:
     """Whether all rays of a view that meet one face with the same sources in sight have the same radiance.
 
-    So they have where they have one direction and light comes from parallel sources alone.
+    So they have where they have one direction and light comes from parallel sources alone. That of others changes over
+    a face, in closed form, too.
     """
-    parallel = all(source.travel is not None for source in scene.delta_sources)
+    parallel = not scene.area_sources and all(source.travel is not None for source in scene.delta_sources)
     far = not bool((np.asarray(measurement.cameras.inverse_range) > 0).any())
     return far and parallel and not measurement.method.resolved(scene).needs_key(scene)
 

@@ -43,6 +43,7 @@ def prepare(
         raise ValueError("measurements: got none, expected at least one")
     if not robust > 0:
         raise ValueError(f"robust: got {robust}, expected a residual > 0 in standard deviations")
+    measurements = [measurement.resolved(scene) for measurement in measurements]
     scene = enforce(scene, [c for m in measurements for c in (*scene.checks_on(m.nodes), *m.checks())])
     coordinates = Coordinates(parameters, scene)
     names = [p.name for p in coordinates.parameters]

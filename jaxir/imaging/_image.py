@@ -44,8 +44,8 @@ class Image(eqx.Module):
         outcome: why no more were taken, an item of `Outcome`.
         orders: what the last two orders of scattering brought of the radiant intensity, the last first [2, band]
             [W sr-1]; None without particles.
-        unresolved: estimated share of the plumes' intensity in the image that the lattice of `DiscreteOrdinates` lacks
-            [band]; None without.
+        unresolved: what the lattice of `DiscreteOrdinates` lacks of the plumes' intensity in the image, estimated
+            [band] [W sr-1]; None without.
         spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
         outside: share of the scene's intensity beyond the frame, roughly [band], see `share_outside`; None unknown.
         asked: what it is an image of, for `error_budget`; None where values were known only inside jit.
@@ -124,7 +124,7 @@ class Image(eqx.Module):
         """Share of the radiant intensity that is left out of what particles scatter, estimated [band].
 
         Of orders of scattering beyond the last, see `truncated_share`, or `unresolved`, with what the last order
-        changed where what a lattice errs is sampled; 0 without particles.
+        changed where what a lattice errs is sampled; 0 without particles, and inf of no intensity.
         """
         return share_left_out(self.orders, self.unresolved, self.radiant_intensity())
 
@@ -156,11 +156,11 @@ def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, "*co
 @program
 def share_left_out(orders: Array | None, unresolved: Array | None, intensity: Array) -> Array:
     """See `Image.truncation`; of the last two orders of scattering, `unresolved` and the intensity."""
-    if orders is None:
-        return jnp.zeros_like(intensity) if unresolved is None else unresolved
     if unresolved is None:
-        return truncated_share(orders, intensity)
-    return unresolved + jnp.abs(orders[..., 0, :]) / jnp.where(intensity != 0, jnp.abs(intensity), 1)
+        return jnp.zeros_like(intensity) if orders is None else truncated_share(orders, intensity)
+    lacks = unresolved if orders is None else unresolved + jnp.abs(orders[..., 0, :])
+    share = jnp.where(intensity != 0, lacks / jnp.where(intensity != 0, jnp.abs(intensity), 1), jnp.inf)
+    return jnp.where(lacks == 0, 0, share)
 
 
 @program

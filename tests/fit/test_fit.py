@@ -21,12 +21,14 @@ from jaxir.fit import (
     part_emissivity,
     part_temperature,
     particle_loading,
+    prepare,
     sensitivity,
     temperature_scale,
 )
 from jaxir.optics.particle import Isotropic, ParticleTable
+from jaxir.optics.spectrum import gray_nodes
 from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, slab
-from tests.scenes import box_mesh
+from tests.scenes import box_mesh, plate
 
 VIEWS = [(a, e) for a in (0, 40, 90, 160, 230, 300) for e in (-30, 10, 50)]
 BANDS = (jaxir.MWIR, jaxir.LWIR)
@@ -132,6 +134,28 @@ def test_sensitivity_is_the_derivative_of_the_sum(x64):
 def _face_sum(temperature, scene, azimuth, elevation):
     changed = eqx.tree_at(lambda s: s.skin.temperature, scene, temperature)
     return jaxir.unoccluded_intensity(changed, azimuth, elevation, jaxir.LWIR)[0]
+
+
+def test_bands_of_an_image_take_the_nodes_that_the_scene_needs():
+    grid, gas = jaxir.Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1, 1, 1)), jaxir.NarrowBandGas(101325.0, co2=0.1)
+    hot = jaxir.Scene(None, jaxir.GridPlume(grid, 1000.0, gas))
+    whole, given = (
+        measured_image(PIXEL, bands, np.ones((1, 1, 1)), 0.1).resolved(hot).nodes
+        for bands in (jaxir.MWIR, gray_nodes(jaxir.MWIR))
+    )
+    assert whole.count == jaxir.scene_nodes(hot, jaxir.MWIR).count > given.count == 1
+
+
+def test_light_that_changes_over_a_face_is_predicted_ray_by_ray():
+    """In closed form no ray is random, and yet no two of a face are alike."""
+    disc = jaxir.DiscSource((0.2, 0.3, 0.2), (-1.0, 0.0, 0.0), 0.15, 400.0)
+    scene = jaxir.Scene(plate(0.6, 300.0), (), disc)
+    views, shape = [(0.0, 0.0), (40.0, 20.0)], (64, 64)
+    asked = {"shape": shape, "method": jaxir.Method(jaxir.ClosedForm())}
+    known = jaxir.signature(scene, views, jaxir.MWIR, **asked).intensity
+    measured = measured_intensity(scene, views, jaxir.MWIR, known, 0.01 * known, **asked)
+    predicted = prepare(scene, [part_emissivity("skin")], [measured]).observations[0].predict_halves(scene)
+    np.testing.assert_allclose(predicted.mean(axis=(0, 1)), known, rtol=0.02)
 
 
 ONE_NUMBER = measured_image(PIXEL, jaxir.MWIR, np.ones((1, 1, 1)), 0.1)

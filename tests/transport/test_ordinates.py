@@ -325,9 +325,28 @@ def test_an_image_tells_what_the_last_order_changed():
     camera = jaxir.fitted_camera(90, 0, scene.extent(), (16, 32))
     image = jaxir.render(scene, camera, [jaxir.MWIR], samples=4, method=lattice(6))
     assert image.orders is not None and image.unresolved is not None
-    changed = np.abs(image.orders) / float(image.radiant_intensity()[0])
-    assert 0 < float(changed[0, 0]) < 0.05
-    np.testing.assert_allclose(image.truncation, image.unresolved + changed[0], rtol=1e-6)
+    intensity, changed = float(image.radiant_intensity()[0]), np.abs(image.orders)
+    assert 0 < float(changed[0, 0]) < 0.05 * intensity
+    np.testing.assert_allclose(image.truncation, (image.unresolved + changed[0]) / intensity, rtol=1e-6)
+
+
+def test_what_a_lattice_lacks_is_told_of_the_plume_and_not_of_the_contrast():
+    """A cold plate beside a jet before a warm sky takes most of the contrast, and nothing of what is lacking."""
+    scene, _ = in_the_sun()
+    camera = jaxir.orthographic_camera(90, 0, 0.5, (16, 64), target=(-3.0, 0.0, 0.0))
+    sky = float(jaxir.render(scene, camera, [jaxir.MWIR], samples=2, method=lattice(0)).radiant_intensity()[0]) / 10.0
+    told = []
+    for depth in (1e-3, 4.5):  # [m]
+        plate = jaxir.Mesh(
+            [[-12.0, 0, -1], [-11, 0, -1], [-11, 0, -1 + depth], [-12, 0, -1 + depth]], [[0, 1, 2], [0, 2, 3]]
+        )
+        skin = jaxir.Skin(plate, 3.0, jaxir.Lambert(1.0))
+        seen = dataclasses.replace(scene, skin=skin, background=jaxir.UniformBackground(sky))
+        image = jaxir.render(seen, camera, [jaxir.MWIR], samples=2, method=lattice(0))
+        told.append((float(image.radiant_intensity()[0]), float(image.error_budget(look=False).truncation[0])))
+    (bright, much), (dark, same) = told
+    assert abs(dark) < abs(bright) / 2
+    np.testing.assert_allclose(same, much, rtol=0.05)
 
 
 def test_derivatives_of_what_is_sampled_are_those_of_the_expected_value(x64):

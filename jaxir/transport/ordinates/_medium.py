@@ -287,10 +287,10 @@ def chosen_rays(part: Part, camera: Camera, start: Float[Array, ""]) -> tuple[Ra
 
 
 def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
-    """Share of the intensity of plumes in a camera's image that the lattice lacks [band].
+    """What the lattice lacks of the intensity of plumes in a camera's image [band] [W sr-1].
 
-    It is what `Scattered.lacking` sees from there, and what changed from fewer harmonics to those there are. None where
-    nothing was solved for. What is in front of plumes is not looked for.
+    It is what `Scattered.lacking` sees from there, and what changed from fewer harmonics to those there are, through
+    the air. None where nothing was solved for. Skin in front of plumes is not looked for.
     """
     if not isinstance(lit.medium, Scattered):
         return None
@@ -298,6 +298,7 @@ def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     for part in lit.medium.parts:
         rays, weight = chosen_rays(part, camera, lit.scene.start(camera))
         found = found + jnp.stack([matmul(weight, radiance) for radiance in lit.medium.lacking(rays, camera.eye)])
+    if lit.air is not None:
+        found = found * lit.air.transmittance[None]
     whole, rough, reading, beams, pieces = (lit.nodes.in_band(each) for each in found)
-    lacks = reading + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
-    return lacks / jnp.where(whole > 0, whole, 1)
+    return reading + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
