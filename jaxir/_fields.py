@@ -179,6 +179,11 @@ class Physical(eqx.Module):
         """Whether it depends on the wavenumber inside a band: here, whether a part does."""
         return any(part.has_spectrum for part in self._parts() if isinstance(part, Physical))
 
+    @property
+    def has_quantiles(self) -> bool:
+        """Whether it holds values of just the nodes that it was made for, so that none tells what these err."""
+        return any(part.has_quantiles for part in self._parts() if isinstance(part, Physical))
+
     def doubts(self) -> list[Check]:
         """What is unlikely of several fields together, see `jaxir._plausible`; of known values, outside jit."""
         return []

@@ -62,8 +62,10 @@ def test_a_state_is_asked_what_the_file_says_of_it(asked, tmp_path, capsys):
 )
 def test_what_one_table_cannot_hold_may_not_vary(key, values, asked, tmp_path, capsys):
     text = TEXT + f'components = "parts"\n[over.d]\nvalues = [1, 2]\ntables = {{ "{key}" = {values} }}'
-    assert main(["signature", str(write_scene(tmp_path, text)), *SOURCE]) == 1
-    assert f"scene.toml: over.d: got the key '{key}', expected others: bands, views" in capsys.readouterr().err
+    scene = str(write_scene(tmp_path, text))
+    for command in (["show"], ["signature", *SOURCE]):
+        assert main([command[0], scene, *command[1:]]) == 1
+        assert f"scene.toml: over.d: got the key '{key}', expected others: bands, views" in capsys.readouterr().err
     assert not asked
 
 
@@ -73,6 +75,13 @@ def test_any_folder_may_keep_views(name, asked, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "here")
     assert main(["signature", str(write_scene(tmp_path)), *SOURCE, "--folder", name, "-o", "t.csv"]) == 0
     assert list(asked) == [(tmp_path / "here" / name).resolve()]
+
+
+@pytest.mark.parametrize("asked", [("render", "--picture", "temperature"), ("signature", "--scale", "dB")])
+def test_what_is_asked_of_a_picture_needs_one(asked, tmp_path, capsys):
+    command, option, value = asked
+    assert main([command, str(write_scene(tmp_path)), option, value]) == 1
+    assert f"{option}: got {value} without a picture, expected -o FILE.png with it" in capsys.readouterr().err
 
 
 def test_every_state_is_a_frame_of_its_camera(tmp_path, monkeypatch):

@@ -231,6 +231,13 @@ def test_components_are_drawn_with_their_sum():
     lines = plot.component_signature(table).axes[0].get_lines()
     np.testing.assert_allclose(lines[0].get_ydata(), [4.0, 8.0])
     np.testing.assert_allclose(lines[1].get_ydata() + lines[2].get_ydata(), [4.0, 8.0])
+    own = {name: jnp.tile(getattr(table, name), 2) for name in ("azimuth", "elevation")}
+    own |= {name: jnp.concatenate([x, 2 * x]) for name, x in (("intensity", table.intensity), ("parts", table.parts))}
+    own |= {name: jnp.zeros((6, 1)) for name in ("standard_error", "truncation")}
+    state = jnp.repeat(jnp.asarray([[300.0], [600.0]]), 3, axis=0)
+    axes = plot.component_signature(dataclasses.replace(table, **own, axes=("t",), state=state)).axes
+    assert [axis.get_title() for axis in axes] == ["t 300", "t 600"]
+    np.testing.assert_allclose([axis.get_lines()[0].get_ydata() for axis in axes], [[4.0, 8.0], [8.0, 16.0]])
     for draw in (
         lambda: plot.component_panels(whole),
         lambda: plot.component_signature(signature([0.0], [0.0], [1.0])),

@@ -19,6 +19,7 @@ from jaxir import plot
 from jaxir._arrays import require
 from jaxir.command_line._formats import (
     FILM_FORMATS,
+    PICTURES,
     RENDER_FORMATS,
     SHOW_FORMATS,
     SIGNATURE_FORMATS,
@@ -48,6 +49,7 @@ SHARED = ("bands", "signature.views", "signature.components")  # of all states o
 def render_command(arguments: argparse.Namespace) -> None:
     """`jaxir render`: an image of every camera, in every quantity asked for."""
     outputs = outputs_of(arguments.output, [Path(f"{arguments.scene.stem}.npz")], RENDER_FORMATS)
+    require_picture(arguments, outputs)
     read = read_scene(arguments.scene)
     if not read.cameras:
         raise ValueError(f"{read.file}: got no key camera, expected one for render")
@@ -118,6 +120,7 @@ def _limits(entry: Callable, asked: dict[str, Any]) -> str:
 def signature_command(arguments: argparse.Namespace) -> None:
     """`jaxir signature`: a table of all aspects, in every quantity asked for."""
     outputs = outputs_of(arguments.output, [Path(f"{arguments.scene.stem}.csv")], SIGNATURE_FORMATS)
+    require_picture(arguments, outputs)
     quantities = quantities_of(arguments)
     if any(path.suffix == ".txt" for path in outputs) and list(quantities) != ["source"]:
         raise ValueError("-o FILE.txt: an AFSIM table holds the source, expected --quantity source alone")
@@ -128,8 +131,8 @@ def signature_command(arguments: argparse.Namespace) -> None:
         raise ValueError(f"--scale: got {arguments.scale}, expected none: lines by component have a scale of their own")
     if any(path.suffix == ".txt" for path in outputs):
         naming(read, lambda: require_full_table(read.signature["views"], read.names))
+    refuse_shared(read)
     if read.states is not None:
-        read.states.refuse(SHARED, "bands, views and components of a table are the same in all states")
         naming(read, partial(check_states, read, cameras=False))  # before any of them is computed
     require_targets(read.file, outputs, [""], quantities.values())
     for quantity, label in quantities.items():
@@ -196,6 +199,13 @@ def drawn_as(arguments: argparse.Namespace) -> dict[str, str]:
     return {name: value for name, value in asked.items() if value is not None}
 
 
+def require_picture(arguments: argparse.Namespace, outputs: list[Path]) -> None:
+    """Raise `ValueError` where something is asked of a picture and none is to be written."""
+    if drawn_as(arguments) and not any(path.suffix in PICTURES for path in outputs):
+        name = "picture" if "quantity" in drawn_as(arguments) else "scale"
+        raise ValueError(f"--{name}: got {getattr(arguments, name)} without a picture, expected -o FILE.png with it")
+
+
 def split_by(arguments: argparse.Namespace) -> dict[str, str]:
     """What the command line says of components, which goes before the scene file."""
     return {} if arguments.components is None else {"components": arguments.components}
@@ -216,10 +226,18 @@ def show_command(arguments: argparse.Namespace) -> None:
     outputs = outputs_of(arguments.output, [], SHOW_FORMATS)
     read = read_scene(arguments.scene)
     require_targets(read.file, outputs, [""], [""])
+    if "views" in read.signature:
+        refuse_shared(read)
     naming(read, partial(check_states, read))
     print(read.describe())
     if outputs:
         write(SHOW_FORMATS, outputs, plot.scene_view(read.scene, read.cameras, arguments.colour))
+
+
+def refuse_shared(read: SceneFile) -> None:
+    """Raise `ValueError` where something varies that states of one table share."""
+    if read.states is not None:
+        read.states.refuse(SHARED, "bands, views and components of a table are the same in all states")
 
 
 def check_states(read: SceneFile, cameras: bool = True, views: bool = True) -> None:

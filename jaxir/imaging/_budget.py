@@ -97,14 +97,15 @@ class ErrorBudget(eqx.Module):
         return "\n".join(lines)
 
     def described(self) -> str:
-        """One line for files: the parts of the worst view of each band, in shares of the intensity."""
+        """One line for files: the parts of the worst view of each band, as shares of its intensity."""
 
         def share(values: Array | None, band: int) -> str:
             if values is None:
                 return "not known"
             return f"{np.max(self.shares(values).reshape(-1, len(self.bands))[:, band]):.2g}"
 
-        return "; ".join(
+        several = " of the worst view of each band" if self.intensity.size > len(self.bands) else ""
+        return f"as shares of the intensity{several}: " + "; ".join(
             f"{band}: " + ", ".join(f"{name} {share(values, index)}" for name, values in self.written().items())
             for index, band in enumerate(self.bands)
         )

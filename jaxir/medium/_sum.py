@@ -49,8 +49,16 @@ class MediumSum(AbstractMedium):
         return functools.reduce(jnp.multiply, [part.transmittance(rays, t_max) for part in self.parts])
 
     def scattering(self, point: Float[Array, "ray 3"], cosine: Float[Array, " ray"]) -> Float[Array, "ray node"]:
-        """See `AbstractMedium.scattering`: the sum of those with particles; 0 beside their grids."""
-        return functools.reduce(jnp.add, [part.scattering(point, cosine) for part in self.parts if part.scatters])
+        """See `AbstractMedium.scattering`: the sum of those with particles.
+
+        A point that lies beside a grid by rounding counts as one of it where it lies in no other medium.
+        """
+        elsewhere = self.coefficients(point)[0] > 0
+        each = [
+            jnp.where(elsewhere & (part.scattering_at(point) == 0), 0, part.scattering(point, cosine))
+            for part in self.parts_with_particles
+        ]
+        return functools.reduce(jnp.add, each)
 
     def cuts(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
         """See `AbstractMedium.cuts`: those of all media, in order."""

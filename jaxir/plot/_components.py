@@ -8,9 +8,10 @@ import numpy as np
 
 from jaxir.imaging import Image, Signature
 from jaxir.plot._figure import figure_of, seen_from
-from jaxir.plot._polar import cut_of
+from jaxir.plot._polar import cut_of, states_of
 
 LINEAR = 1e-2  # of the largest value, within which a scale is linear
+STATES = 4  # that are drawn side by side
 
 
 def component_bars(image: Image) -> Any:
@@ -52,7 +53,8 @@ def component_bars(image: Image) -> Any:
 def component_signature(table: Signature) -> Any:
     """The radiant intensities of a signature by component: a panel for each band, over azimuth (or elevation).
 
-    Of a table with several elevations that nearest to 0 is shown, of several states the first. The scale is linear
+    Of a table with several elevations that nearest to 0 is shown; several states have a column each, four of them at
+    most. The scale is linear
     within a hundredth of the largest value and logarithmic beyond, so that what is negative and what is small are seen,
     too. Bands are two standard errors wide to each side.
 
@@ -70,32 +72,39 @@ def component_signature(table: Signature) -> Any:
         raise ValueError('table.parts: got none, expected signature(..., components="sources")')
     angle, other, upright = cut_of(table)
     cut = other[np.argmin(np.abs(other))]
-    same = np.ones(angle.size, bool) if table.state is None else (table.state == table.state[0]).all(axis=1)
-    chosen = np.flatnonzero((other == cut) & np.asarray(same))
-    chosen = chosen[np.argsort(angle[chosen], kind="stable")]
-    figure = figure_of(8.0, 3.0 * len(table.bands) + 0.6)
+    states = states_of(table)
+    shown = states[:STATES]
+    figure = figure_of(6.0 * len(shown) + 2.0, 3.0 * len(table.bands) + 0.6)
     from matplotlib.ticker import MultipleLocator
 
-    axes = figure.subplots(len(table.bands), 1, squeeze=False, sharex=True)[:, 0]
+    axes = figure.subplots(len(table.bands), len(shown), squeeze=False, sharex=True, sharey="row")
     parts, whole = np.asarray(table.parts, np.float64), np.asarray(table.intensity, np.float64)
-    for index, (axis, band) in enumerate(zip(axes, table.bands, strict=True)):
-        axis.plot(angle[chosen], whole[chosen, index], "k-", linewidth=2, label="sum" if index == 0 else None)
+    chosen = [np.flatnonzero((other == cut) & own) for _, own in shown]
+    chosen = [own[np.argsort(angle[own], kind="stable")] for own in chosen]
+    for index, column in np.ndindex(axes.shape):
+        axis, views, first = axes[index, column], chosen[column], index == column == 0
+        axis.plot(angle[views], whole[views, index], "k-", linewidth=2, label="sum" if first else None)
         for k, name in enumerate(table.components):
             if parts[:, k].any():
-                label, own, colour = name if index == 0 else None, parts[chosen, k, index], f"C{k % 10}"
-                axis.plot(angle[chosen], own, marker=".", color=colour, label=label)
+                label, own, colour = name if first else None, parts[views, k, index], f"C{k % 10}"
+                axis.plot(angle[views], own, marker=".", color=colour, label=label)
                 if table.parts_error is not None:
-                    spread = 2 * np.asarray(table.parts_error, np.float64)[chosen, k, index]
-                    axis.fill_between(angle[chosen], own - spread, own + spread, color=colour, alpha=0.2, linewidth=0)
-        near = 10 ** np.ceil(np.log10(max(LINEAR * float(np.abs(whole[chosen, index]).max()), 1e-30)))
-        axis.set_yscale("symlog", linthresh=near, linscale=1.2)
+                    spread = 2 * np.asarray(table.parts_error, np.float64)[views, k, index]
+                    axis.fill_between(angle[views], own - spread, own + spread, color=colour, alpha=0.2, linewidth=0)
+        largest = max(float(np.abs(whole[views, index]).max()) for views in chosen)
+        axis.set_yscale("symlog", linthresh=10 ** np.ceil(np.log10(max(LINEAR * largest, 1e-30))), linscale=1.2)
         axis.axhline(0, color="k", linewidth=0.6)
-        axis.set_ylabel(f"{band} [W/sr]")
         axis.grid(alpha=0.3)
-    if np.ptp(angle[chosen]) > 90:
-        axes[-1].xaxis.set_major_locator(MultipleLocator(45))
-    axes[-1].set_xlabel(f"{'elevation' if upright else 'azimuth from the nose to the left wing'} [deg]")
+    for band, axis in zip(table.bands, axes[:, 0], strict=True):
+        axis.set_ylabel(f"{band} [W/sr]")
+    for (label, _), axis in zip(shown, axes[0], strict=True):
+        axis.set_title(label, fontsize="small")
+    for axis in axes[-1]:
+        if np.ptp(angle[chosen[0]]) > 90:
+            axis.xaxis.set_major_locator(MultipleLocator(45))
+        axis.set_xlabel(f"{'elevation' if upright else 'azimuth from the nose to the left wing'} [deg]")
     fixed = f"{'azimuth' if upright else 'elevation'} {cut:g}°"
-    axes[0].set_title(f"radiant intensity by component, {fixed}", fontsize="medium")
+    few = f", {len(shown)} of {len(states)} states" if len(states) > len(shown) else ""
+    figure.suptitle(f"radiant intensity by component, {fixed}{few}", fontsize="medium")
     figure.legend(loc="outside right upper", fontsize="small")
     return figure

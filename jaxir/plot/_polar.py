@@ -12,6 +12,8 @@ from jaxir.plot._figure import figure_of
 SCALES = {"log": "W/sr", "linear": "W/sr", "dB": "dB over 1 W/sr"}
 DECADES = 4  # from the rim of a logarithmic plot to its middle at most
 ERRORS = 2  # standard errors of a band around a curve
+STYLES = ("-", "--", ":", "-.")
+POINTS = 40  # of a curve at most, if they are marked
 
 
 def polar_signature(table: Signature, *, scale: str = "log") -> Any:
@@ -19,8 +21,9 @@ def polar_signature(table: Signature, *, scale: str = "log") -> Any:
 
     The angle is the azimuth, with a curve for every elevation, the nose on top and the left wing on the left, as seen
     from above; where the table has one azimuth only, it is the elevation, the nose on the right. Where the intensity is
-    negative, a contrast darker than its background, the curve is dotted. Of a table of several states
-    (`Signature.axes`) every band has a panel with a curve for each state, at the elevation nearest to 0.
+    negative, a contrast darker than its background, the curve is dotted. Of more than four elevations every band has a
+    panel. So it has of a table of several states (`Signature.axes`), with a curve for each state at the elevation
+    nearest to 0.
 
     Args:
         table: the signature.
@@ -37,36 +40,47 @@ def polar_signature(table: Signature, *, scale: str = "log") -> Any:
     if scale not in SCALES:
         raise ValueError(f"scale: got {scale!r}, expected {', '.join(SCALES)}")
     angle, other, upright = cut_of(table)
-    over = "elevation" if upright else "azimuth, nose up"
-    if table.state is None:
+    over, name = ("elevation", "azimuth") if upright else ("azimuth, nose up", "elevation")
+    cuts = np.unique(other)
+    if table.state is None and len(cuts) <= len(STYLES):
         figure = figure_of(6.4, 7.2)
         axes = [figure.subplots(subplot_kw={"projection": "polar"})]
-        cuts = np.unique(other).tolist()
-        name = "azimuth" if upright else "elevation"
         curves = [
-            (0, k, other == cut, band if len(cuts) == 1 else f"{band}, {name} {cut:g}°", f"C{k}", style)
+            (0, k, other == cut, band if len(cuts) == 1 else f"{band}, {name} {cut:g}°", f"C{k % 10}", style)
             for k, band in enumerate(table.bands)
-            for cut, style in zip(cuts, ["-", "--", ":", "-."] * (len(cuts) // 4 + 1), strict=False)
+            for cut, style in zip(cuts.tolist(), STYLES, strict=False)
         ]
     else:
         figure = figure_of(5.2 * len(table.bands) + 1, 7.0)
         axes = list(figure.subplots(1, len(table.bands), subplot_kw={"projection": "polar"}, squeeze=False)[0])
-        near = other == other[np.argmin(np.abs(other))]
-        states, which = np.unique(np.asarray(table.state), axis=0, return_inverse=True)
-        named = [", ".join(f"{x} {v:g}" for x, v in zip(table.axes, own, strict=True)) for own in states.tolist()]
+        if table.state is None:
+            shown = [(f"{name} {cut:g}°", other == cut) for cut in cuts.tolist()]
+        else:
+            near = other[np.argmin(np.abs(other))]
+            shown = [(label, own & (other == near)) for label, own in states_of(table)]
+            over += f" at {name} {near:g}°"
         curves = [
-            (k, k, near & (which.reshape(-1) == i), label if k == 0 else None, f"C{i % 10}", "-")
+            (k, k, own, label if k == 0 else None, f"C{i % 10}", STYLES[i // 10 % len(STYLES)])
             for k in range(len(table.bands))
-            for i, label in enumerate(named)
+            for i, (label, own) in enumerate(shown)
         ]
         for axis, band in zip(axes, table.bands, strict=True):
             axis.set_title(band)
     for place, axis in enumerate(axes):
         _draw(axis, table, angle, [curve[1:] for curve in curves if curve[0] == place], upright, scale)
     figure.suptitle(f"radiant intensity [{SCALES[scale]}] over {over}")
-    columns = min(3, len(table.bands)) if table.state is None else max(1, len(table.bands))
+    columns = min(3, len(table.bands)) if len(axes) == 1 else len(table.bands)
     figure.legend(loc="outside lower center", ncols=columns, fontsize="small")
     return figure
+
+
+def states_of(table: Signature) -> list[tuple[str, np.ndarray]]:
+    """The states of a table in words, each with which views are of it [view]; one without words where it has none."""
+    if table.state is None:
+        return [("", np.ones(len(table.azimuth), bool))]
+    states, first, which = np.unique(np.asarray(table.state), axis=0, return_index=True, return_inverse=True)
+    named = [", ".join(f"{x} {v:g}" for x, v in zip(table.axes, own, strict=True)) for own in states.tolist()]
+    return [(named[i], which.reshape(-1) == i) for i in np.argsort(first)]
 
 
 def cut_of(table: Signature) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -101,13 +115,14 @@ def _draw(axis: Any, table: Signature, angle: np.ndarray, curves: list[tuple], u
             if gap < 1.5 * np.diff(turn).max():  # the last step of a circle
                 turn = np.append(turn, turn[0] + 2 * np.pi)
                 value, spread = np.append(value, value[0]), np.append(spread, spread[0])
-        axis.plot(turn, radius(value), style, color=colour, label=label)
+        marker = "." if chosen.size <= POINTS else ""  # few views are seen as such, and alone
+        axis.plot(turn, radius(value), style, marker=marker, color=colour, label=label)
         if (spread > 0).any():
             ends = (np.maximum(np.abs(value) + sign * spread, floor) for sign in (-1, 1))
             axis.fill_between(turn, *(radius(end) for end in ends), color=colour, alpha=0.2, linewidth=0)
         if (value < 0).any():
             below = None if label is None else f"{label}, negative"
-            axis.plot(turn, radius(-value), linestyle=(0, (1, 2)), color=colour, label=below)
+            axis.plot(turn, radius(-value), linestyle=(0, (1, 2)), marker=marker, color=colour, label=below)
     if not upright:
         axis.set_theta_zero_location("N")
     if scale == "log" and (intensity != 0).any():

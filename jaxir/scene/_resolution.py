@@ -106,13 +106,15 @@ def nodes_error(scene: Scene, nodes: Nodes) -> Float[Array, " band"] | None:
     """What nodes err in the bands of a scene, as a share [band]: `Nodes.error`, or as `scene_nodes` finds it.
 
     Nodes that were given are compared with finer ones, `finer_nodes`. 0 where nothing in the scene depends on the
-    wavenumber inside a band. None where the scene holds values for just these nodes, or a response acts by its mean
-    over a whole band.
+    wavenumber inside a band. None where the scene holds values for just these nodes, as of correlated-k, or a response
+    acts by its mean over a whole band.
     """
     if nodes.error is not None:
         return nodes.error
     response = np.asarray(nodes.response)
     if nodes.count == len(response) and ((response != 0) & (response != 1)).any():
+        return None
+    if any(plume.has_quantiles for plume in scene.plumes):
         return None
     if not scene.has_spectrum:
         return jnp.zeros(len(response), nodes.weight.dtype)

@@ -103,6 +103,24 @@ def test_a_ray_in_the_face_that_two_grids_share_is_in_one_of_them(x64):
         np.testing.assert_allclose(look(jaxir.Scene(plumes=tuple(order)), rays), want, rtol=1e-9)
 
 
+def test_a_point_by_the_face_that_two_grids_share_scatters_once(x64):
+    """And one beside both by rounding as the nearest cell."""
+
+    def cloud(x, cells):
+        grid = jaxir.Grid((x, -1.0, -1.0), (1.0, 2.0, 2.0), (cells, 1, 1))
+        particles = jaxir.GrayParticles(2.0, [1.0], jaxir.Isotropic())
+        return jaxir.GridPlume(grid, 1000.0, jaxir.GrayGas(0.1), particles)
+
+    place = jnp.asarray([-1.0005, -0.5, -1e-4, 0.0, 1e-4, 0.5, 1.0005])
+    point = jnp.stack([place, 0 * place, 0 * place], axis=1)
+    whole, halves = (
+        jaxir.Scene(plumes=plumes).on(gray_nodes(BANDS)).medium.scattering(point, 0 * place)
+        for plumes in (cloud(-1.0, 2), (cloud(-1.0, 1), cloud(0.0, 1)))
+    )
+    np.testing.assert_allclose(halves, whole)
+    assert (np.asarray(whole) > 0).all()
+
+
 def test_order_does_not_matter_and_one_half_twice_is_one(x64):
     rays = rays_through(300, (0.3, 0.1, -1.0))
     pair = (jet(-0.3), jet(0.3, temperature=600.0))

@@ -10,6 +10,7 @@ from jaxir.io.spectra import GasState, slot_atmosphere, tabulate
 from jaxir.optics.air import Profile, us_standard_1976
 from jaxir.optics.gas import CorrelatedK, CrossSections
 from jaxir.optics.spectrum import Band, band_radiance, resolved_nodes
+from jaxir.scene import nodes_error
 from jaxir.scene.air import StandardAtmosphere
 from studies import co2_lines as truth
 
@@ -126,6 +127,7 @@ def test_a_scene_on_the_same_nodes(raw_table, paths):
     path = paths("level", 1500.0)
     by_hand = correlated_k(raw_table, layers) * path.on(NODES).transmittance + path.on(NODES).path_radiance
     assert np.allclose(seen[0], by_hand, rtol=1e-4)
+    assert nodes_error(scene, NODES) is None  # there are no finer tables to compare with
 
 
 def test_line_by_line_has_the_same_interface():

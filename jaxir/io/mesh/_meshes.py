@@ -66,7 +66,8 @@ class Body(NamedTuple):
 def load_mesh(path: str | os.PathLike, *, unit: Any, axes: Axes | None = None) -> Body:
     """Read STL, OBJ, PLY, GLB or whatever else trimesh reads.
 
-    Nothing is merged, reordered or repaired, so that per-face arrays made for the file keep fitting. Faces of zero
+    Nothing is merged, reordered or repaired, so that per-face arrays made for the file keep fitting. Vertices that no
+    face uses are no part of the body: they are placed at the first one that a face uses. Faces of zero
     area are kept (they are never hit) and named in a warning. Polygons are cut into triangles, and the faces of an
     object that the file places as its mirror image are turned around, so that they still look outwards.
 
@@ -101,6 +102,8 @@ def load_mesh(path: str | os.PathLike, *, unit: Any, axes: Axes | None = None) -
             f"{file}: vertex {bad[0]} is {all_vertices[bad[0]]} m, expected finite coordinates below {FARTHEST:g} m"
         )
     all_vertices = placed.to_body(all_vertices, 1.0)
+    used = np.isin(np.arange(len(all_vertices)), all_faces)
+    all_vertices = np.where(used[:, None], all_vertices, all_vertices[np.argmax(used)])
     try:
         flat = zero_area_faces(all_vertices, all_faces)
         body = Body(Mesh(all_vertices, all_faces), held.part, held.part_names, held.material, held.material_names)

@@ -50,7 +50,7 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
             f"{file}:{lines[0][0]}: got columns {header}, expected wavenumber_cm-1 or wavelength_um, and transmittance"
         )
     shines = "path_radiance" in header
-    near = [name for name in header if "path" in name.lower() and "radiance" in name.lower()]
+    near = [name for name in header if _seems_radiance(name)]
     if near and not shines:
         raise ValueError(
             f"{file}:{lines[0][0]}: got the column {near[0]}, expected path_radiance in W m-2 sr-1 / cm-1, or none"
@@ -70,6 +70,11 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
         table.add(number, values[0], values[1], values[2] if shines else 0.0)
     wavenumber, transmittance, radiance = (as_float(column) for column in table.sorted().T)
     return TableAtmosphere(wavenumber, transmittance, radiance if shines else None)
+
+
+def _seems_radiance(column: str) -> bool:
+    name = column.lower()
+    return any(word in name for word in ("radiance", "emission", "emitted", "path_rad", "l_path", "lpath"))
 
 
 def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAtmosphere:

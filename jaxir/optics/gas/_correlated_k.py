@@ -220,6 +220,11 @@ class CorrelatedK(AbstractGas):
     def _fields(self) -> list[Array]:
         return [self.pressure, *self.mole_fractions.values()]
 
+    @property
+    def has_quantiles(self) -> bool:
+        """See `Physical.has_quantiles`."""
+        return True
+
     def node_checks(self, nodes: Nodes) -> list[Check]:
         """See `Physical.node_checks`: they are those of the tables."""
         return [check for table in self.tables for check in _matching(table, nodes)]

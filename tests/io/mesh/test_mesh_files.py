@@ -44,6 +44,13 @@ def test_mesh_files_keep_their_faces_in_order(suffix, unit, scale, tmp_path):
     assert (body.part == 0).all() and len(body.part_names) == 1
 
 
+def test_vertices_that_no_face_uses_are_no_part_of_the_body(tmp_path):
+    (tmp_path / "far.obj").write_bytes(b"v 800 0 300\n" + CORNERS + b"f 2 3 4\n")
+    body = load_mesh(tmp_path / "far.obj", unit="m")
+    np.testing.assert_array_equal(np.ptp(np.asarray(body.mesh.vertices), axis=0), [1, 1, 0])
+    np.testing.assert_array_equal(body.mesh.faces, [[1, 2, 3]])
+
+
 def test_objects_of_a_scene_become_parts(tmp_path):
     path = tmp_path / "two.glb"
     scene = trimesh.Scene()

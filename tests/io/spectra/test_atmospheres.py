@@ -192,6 +192,8 @@ def test_csv_by_wavenumber_and_by_wavelength(tmp_path):
         ("wavenumber_cm-1,transmittance\n2000,0.5\n", "1 samples"),
         ("wavenumber_cm-1,transmittance\n2000,0,5\n", "bad.csv:2: got 3 columns, expected 2"),
         ("wavenumber_cm-1,transmittance,Path_Radiance_um\n2000,0.5,1\n", "got the column Path_Radiance_um, expected"),
+        ("wavenumber_cm-1,transmittance,Lpath\n2000,0.5,1\n", "got the column Lpath, expected path_radiance in"),
+        ("wavenumber_cm-1,transmittance,emission\n2000,0.5,1\n", "got the column emission, expected path_radiance"),
         ("wavenumber_cm-1,transmittance,path_radiance\n2000,0.5,1e308\n", "bad.csv:2: got path radiance 1e.308"),
         ("wavelength_um,transmittance\n1e-320,0.5\n", "bad.csv:2: got wavenumber inf"),
         ("wavenumber_cm-1,transmittance\n2000,0.5\n2000.00001,0.5\n", "bad.csv:3: .* twice .in float32"),
