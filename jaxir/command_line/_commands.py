@@ -37,7 +37,7 @@ from jaxir.optics.spectrum import as_nodes
 from jaxir.scene import Scene
 
 LEFT_OUT = {
-    "quadrature": "the panels of jets err by",
+    "quadrature": "panels of jets or sunlit cells err by",
     "truncation": "method.orders leaves out",
     "bounces": "method.bounces leaves out",
     "outside": "the frame leaves out",

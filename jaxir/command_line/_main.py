@@ -123,7 +123,7 @@ def _parser() -> argparse.ArgumentParser:
             command.add_argument(
                 "--errors",
                 action="store_true",
-                help="look for what bounces and panels of jets err, too; compiles more",
+                help="look for what bounces, panels of jets and sunlit cells err, too; compiles more",
             )
             command.add_argument(
                 "--components",

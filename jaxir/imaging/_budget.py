@@ -15,7 +15,7 @@ from jaxir.imaging._left_out import Asked
 PARTS = {
     "sampling": "of rays within pixels and of sampled light",
     "spectral": "of the spectral nodes",
-    "quadrature": "of the integrals along rays through jets",
+    "quadrature": "of the integrals along rays through jets and sunlit cells",
     "truncation": "scattered light that is left out",
     "bounces": "bounces from skin beyond the last",
     "outside": "of the scene beyond the frame",
@@ -35,8 +35,8 @@ class ErrorBudget(eqx.Module):
         sampling: standard error of the rays [*view, band].
         spectral: what the nodes err, from a comparison with finer ones on a few rays (`jaxir.scene.scene_nodes`)
             [*view, band]; None where that is not known.
-        quadrature: what the panels of jets err, from twice as many on a few rays [*view, band]; None where that is not
-            known, as for bounces.
+        quadrature: what the panels of jets err, from twice as many on a few rays, and cells in parallel light, as it
+            changes from one to the next [*view, band]; None where that is not known, as for bounces.
         truncation: what is left out of what particles scatter, see `Image.truncation` [*view, band].
         bounces: what bounces from skin beyond the last would add, from few paths followed further [*view, band]; None
             where that is not known: not looked for, inside jit, and with `Method.ambient`.

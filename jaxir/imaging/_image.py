@@ -112,9 +112,9 @@ class Image(eqx.Module):
         """The radiant intensity with all that is known of its error.
 
         Args:
-            look: whether to look now, by few rays, for what nodes that were given and the panels of jets err and what
-                bounces left out would add. The first look at scenes of one structure compiles as much as an image;
-                without it they are not known, unless nothing can be there.
+            look: whether to look now, by few rays, for what nodes that were given, panels of jets and sunlit cells err,
+                and what bounces left out would add. The first look at scenes of one structure compiles as much as an
+                image; without it they are not known, unless nothing can be there.
         """
         own = self.radiant_intensity(), self.intensity_error(), self.spectral, self.truncation, self.outside
         return budget(*own, self.bands, self.asked, look)

@@ -19,7 +19,7 @@ from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.geometry.search import is_convex
 from jaxir.imaging._devices import stacked
-from jaxir.imaging._quadrature import quadrature_error, refined
+from jaxir.imaging._quadrature import beams_in_cells, quadrature_error, refined
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene, nodes_error, on_nodes
 from jaxir.transport import Method, bounced, trace
@@ -55,13 +55,13 @@ class Asked(eqx.Module):
             return nodes_error(self.scene, self.nodes)
 
     def quadrature(self, look: bool) -> Float[Array, "*view band"] | None:
-        """What `quadrature_error` finds [*view, band] [W sr-1]; 0 without jets, else None without a look."""
-        if not refined(self.scene):
+        """What `quadrature_error` finds [*view, band] [W sr-1]; 0 where nothing is, else None without a look."""
+        if not (refined(self.scene) or beams_in_cells(self.scene, self.method)):
             return self._none()
         if not look:
             return None
         with jax.ensure_compile_time_eval():
-            return self._by_view(quadrature_error(self.scene, self.nodes, self._views()))
+            return self._by_view(quadrature_error(self.scene, self.nodes, self._views(), self.method))
 
     def bounces(self, look: bool) -> Float[Array, "*view band"] | None:
         """What `left_out` finds [*view, band] [W sr-1]; None without a look, or where `Method.ambient` stands for it.

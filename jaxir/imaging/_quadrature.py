@@ -1,4 +1,7 @@
-"""What the quadrature of jets errs: few rays through each, once with its panels and once with twice as many."""
+"""What the quadrature of plumes errs: few rays through jets, once with their panels and once with twice as many.
+
+And through cells in the light of parallel sources, each of which is lit as its centre is, see `Method`.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from jaxir.scene.plume import AbstractPlume
 from jaxir.transport import Method, evaluate, trace
 
 SIDE = 32  # rays along each side of a plume's outline on the screen
+EDGES = 4  # times what cells miss to second order: many are lit through sides that no next cell tells of
 SLOW = 2  # times the change, as where panels are optically thick doubling leaves half of the error
 
 
@@ -31,31 +35,49 @@ def refined(scene: Scene) -> list[tuple[AbstractPlume, Scene]]:
     ]
 
 
-def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera) -> Float[Array, "view band"]:
+def beams_in_cells(scene: Scene, method: Method) -> bool:
+    """Whether cells are lit as their centres are."""
+    return method.scattering is None and bool(scene.summed_beams)
+
+
+def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Float[Array, "view band"]:
     """About what the quadrature of the plumes errs in the intensity of views [view, band] [W sr-1].
 
     `SLOW` times the change of I = sum L dA / (1 + tan^2)^2 as panels are doubled, by `SIDE`^2 rays spread evenly over
     the rectangle about each plume inside the frame. The fourth-order rule leaves 1/16 of its error then, in panels that
-    are optically thick up to half. What particles scatter and what skin reflects of the plume is not looked for.
+    are optically thick up to half. What particles scatter and what skin reflects of a jet is not looked for. Of cells
+    in parallel light it is `EDGES` times `AbstractMedium.missed`, one to two times the error of cubes of 4 to 16 unlike
+    cells a side, .1 to .5 deep each.
 
     Args:
         scene: with plumes.
         nodes: the spectral axis.
         cameras: [view].
+        method: how light is found.
     """
     both = [(plume.extent(), on_nodes(finer, nodes)) for plume, finer in refined(scene)]
-    return stacked(_changes, (on_nodes(scene, nodes), both), jax.vmap(Camera.undivided)(cameras), "quadrature")
+    asked = on_nodes(scene, nodes), both, beams_in_cells(scene, method)
+    return stacked(_changes, asked, jax.vmap(Camera.undivided)(cameras), "quadrature")
 
 
 @program
-def _changes(asked: tuple[Lit, list[tuple[Array, Lit]]], camera: Camera) -> Float[Array, " band"]:
-    """`SLOW` times what changes in one view as the panels of each plume are doubled."""
-    lit, both = asked
+def _changes(asked: tuple[Lit, list[tuple[Array, Lit]], bool], camera: Camera) -> Float[Array, " band"]:
+    """What `quadrature_error` adds up of one view."""
+    lit, both, beams = asked
     total = jnp.zeros(lit.nodes.response.shape[0], camera.pixel.dtype)
     for extent, finer in both:
         screen, weight = camera.spread_over(extent, SIDE)
         rays = camera.bundle(screen, lit.scene.start(camera)).rays()
         paths = trace(lit.scene, rays, Method(direct=None, orders=0))
         change = evaluate(finer, paths) - evaluate(lit, paths)
-        total = total + jnp.abs(lit.nodes.in_band(matmul(weight, change)))
-    return SLOW * total
+        total = total + SLOW * jnp.abs(lit.nodes.in_band(matmul(weight, change)))
+    if beams:
+        assert lit.scene.plume is not None and lit.medium is not None
+        screen, weight = camera.spread_over(lit.scene.plume.extent(), SIDE)
+        rays = camera.bundle(screen, lit.scene.start(camera)).rays()
+        length = trace(lit.scene, rays, Method(direct=None, orders=0)).first.length
+        for source, irradiance in zip(lit.scene.summed_beams, lit.beams, strict=True):
+            assert source.travel is not None
+            missed = matmul(weight, lit.medium.missed(irradiance, source.travel, rays, length))
+            total = total + EDGES * lit.nodes.in_band(missed if lit.air is None else missed * lit.air.transmittance)
+    return total

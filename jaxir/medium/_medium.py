@@ -118,6 +118,16 @@ class AbstractMedium(eqx.Module):
         """
         raise NotImplementedError(f"{type(self).__name__}: beams are sampled where paths are scattered")
 
+    def missed(
+        self,
+        irradiance: Float[Array, "point node"],
+        travel: Float[Array, " 3"],
+        rays: Rays,
+        t_max: Float[Array, " ray"],
+    ) -> Float[Array, "ray node"]:
+        """About what `in_scattered` of a beam that travels so leaves out [ray, node] [W m-2 sr-1]."""
+        raise NotImplementedError(f"{type(self).__name__}: beams are sampled where paths are scattered")
+
 
 class AbstractScatterer(AbstractMedium):
     """A medium that may have particles, all of one kind, in a space that a unit cube is mapped to."""

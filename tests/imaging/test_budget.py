@@ -153,6 +153,25 @@ def test_what_panels_of_thick_jets_err_is_told(azimuth, most):
     assert few.error_budget(look=False).quadrature is None
 
 
+def test_what_cells_err_that_are_lit_as_their_centres_is_told():
+    """Against the same field in cells of a quarter of the side."""
+    extinction = np.random.default_rng(1).uniform(0.5, 1.5, (4, 4, 4, 1))
+    camera, images = jaxir.orthographic_camera(233.0, -60.0, 0.25, (16, 16)), []
+    for finer in (1, 4):
+        grid = jaxir.Grid((-1.0, -1.0, -1.0), (0.5 / finer,) * 3, (4 * finer,) * 3)
+        cells = extinction.repeat(finer, 0).repeat(finer, 1).repeat(finer, 2)
+        particles = jaxir.GrayParticles(cells, 0.8, jaxir.HenyeyGreenstein(0.6))
+        plume = jaxir.GridPlume(grid, 3.0, jaxir.GrayGas(0.0), particles)
+        scene = jaxir.Scene(None, plume, jaxir.ParallelSource((0.36, 0.48, -0.8), 100.0))
+        images.append(jaxir.render(scene, camera, MWIR, samples=4, method=jaxir.Method(orders=1)))
+    coarse, fine = images
+    apart = float(np.abs(coarse.radiant_intensity() - fine.radiant_intensity())[0])
+    assert apart > 0.05 * float(fine.radiant_intensity()[0])
+    assert coarse.error_budget(look=False).quadrature is None
+    told, left = (float(image.error_budget().quadrature[0]) for image in images)
+    assert apart < told + left < 2 * apart
+
+
 def test_a_budget_prints_every_part():
     errors = jaxir.render(slab(), PIXEL, (MWIR, LWIR), samples=2).error_budget()
     lines = str(errors).splitlines()
