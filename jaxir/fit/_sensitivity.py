@@ -40,7 +40,7 @@ def sensitivity(
     ):
         skin = "no skin" if scene.skin is None else f"{type(scene.skin.brdf).__name__} skin"
         raise ValueError(f"sensitivity: got band {band!r} and {skin}; expected one of {names} and Lambert skin")
-    observed = observe(scene, measurement, key_or_default(key), moving=False)
+    observed = observe(scene, measurement.resolved(scene), key_or_default(key), moving=False)
     return _slopes(observed, scene, names.index(band))
 
 
