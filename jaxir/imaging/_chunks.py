@@ -373,7 +373,7 @@ def see(taken: Pass, bundle: Bundle, key: Key[Array, ""]) -> Seen:
 
 def eye_outside(scene: Scene, inverse_range: Any, target: Array | None = None) -> list[Check]:
     """Rays start on the scene's bounding sphere, so an eye must be beyond it; None aims at the scene's middle."""
-    if not is_traced(inverse_range) and not np.any(inverse_range):
+    if not is_traced(inverse_range) and not np.asarray(inverse_range).any():
         return []
     xp, points, near = on_host(scene.extent(), inverse_range)
     centre = (points.max(axis=0) + points.min(axis=0)) / 2 if target is None else on_host(target)[1]

@@ -189,7 +189,7 @@ def test_particles_get_orders_where_those_leave_out_little_and_else_a_lattice(mo
     assert thick.scattering == jaxir.DiscreteOrdinates(7, 7, 1)
     again = jaxir.plan(cloud(6.0), camera, jaxir.MWIR, 0.07)
     assert again.method == thick
-    np.testing.assert_allclose(image.truncation[0], again.truncation, rtol=1e-4)
+    np.testing.assert_allclose(image.truncation[0], again.truncation, rtol=2e-3)  # of intensities by other rays
     strict = jaxir.plan(cloud(6.0), camera, jaxir.MWIR, 0.01)  # less than this lattice errs
     assert strict.method.scattering == jaxir.DiscreteOrdinates(7, 7, 1, 2) and not strict.terms[1].exact
     assert strict.truncation < again.truncation
