@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import require
-from jaxir._programs import program
 from jaxir.geometry import AbstractSampler, Sobol
 from jaxir.imaging._adaptive import Look, looked, looks
 from jaxir.imaging._chunks import Pass, scattered_for
@@ -24,10 +23,9 @@ from jaxir.transport import (
     DirectSampling,
     DiscreteOrdinates,
     Method,
-    aimed,
     faces_in_sight,
-    lattice_error,
     patch_that_shines,
+    unaimed,
 )
 
 FEW = 2  # rays per pixel of the first pilots
@@ -157,15 +155,12 @@ def suffices(chosen: Choice, first: Pass, goal: Goal) -> bool:
     if trial.left_out > 1:
         return True
     method = dataclasses.replace(trial.method, bounces=first.method.bounces)
-    return _trial(first._replace(lit=aimed(trial.first.lit, first.camera), method=method), goal).left_out <= 1
+    return _trial(first._replace(method=method).seeing(unaimed(trial.first.lit)), goal).left_out <= 1
 
 
 def _trial(first: Pass, goal: Goal, solving: float = 0.0) -> Trial:
-    found = pilot(first, _lattice_error(first.lit, first.camera))
+    found = pilot(first)
     return Trial(first, found, float(goal.tolerance.beyond(np.abs(found.intensity), found.truncation)), solving)
-
-
-_lattice_error = program(lattice_error)
 
 
 def _by_orders(first: Pass, goal: Goal) -> list[Trial]:

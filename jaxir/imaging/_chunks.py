@@ -97,6 +97,7 @@ class Pass(NamedTuple):
         method: how radiance is found.
         parts: of `parts_for`.
         components: by which radiance is split; None for none.
+        lacking: of `lacking_in`.
     """
 
     lit: Lit
@@ -107,6 +108,7 @@ class Pass(NamedTuple):
     method: Method
     parts: int
     components: Components | None = None
+    lacking: Array | None = None
 
     @property
     def samples(self) -> int:
@@ -116,6 +118,10 @@ class Pass(NamedTuple):
     def of(self, samples: int) -> Pass:
         """The same with other rays per pixel."""
         return self._replace(strata=division(samples, not isinstance(self.strata.cells, tuple)))
+
+    def seeing(self, lit: Lit) -> Pass:
+        """The same of a scene with its scattered light."""
+        return self._replace(lit=aimed(lit, self.camera), lacking=lacking_in(lit, self.camera.undivided()))
 
     @property
     def strata_at_once(self) -> int:
@@ -212,9 +218,15 @@ def first_pass(
 def scattered_for(taken: Pass, method: Method) -> Pass:
     """A pass by a method, with what that finds on a lattice, ready for its camera."""
     lit = with_scattered(taken.lit, method)
-    if lit is not taken.lit:  # else nothing is found so, or was before
-        lit = aimed(enforce(lit, solution_checks(lit)), taken.camera)
-    return taken._replace(method=method, lit=lit)
+    if lit is taken.lit:  # nothing is found so, or was before
+        return taken._replace(method=method)
+    return taken._replace(method=method).seeing(enforce(lit, solution_checks(lit)))
+
+
+@program
+def lacking_in(lit: Lit, frame: Camera) -> Array | None:
+    """`lattice_error` in a frame, before it is aimed at: a program that images and tables of a scene share."""
+    return lattice_error(aimed(lit, frame), frame)
 
 
 def as_number(number: int) -> Array:
@@ -250,7 +262,7 @@ def image_of_pixels(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""]
     names = () if taken.components is None else taken.components.names
     variance, parts_variance = pixels.surer()
     own = pixels.mean, variance, pixels.empty, samples, pixels.orders
-    about = lattice_error(taken.lit, camera), nodes.error, share_outside(taken.lit, camera)
+    about = taken.lacking, nodes.error, share_outside(taken.lit, camera)
     return image_of(camera, nodes.names, *own, *about, names, pixels.parts, parts_variance)
 
 

@@ -42,13 +42,8 @@ class Pilot(NamedTuple):
     truncation: np.ndarray
 
 
-def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
-    """Compute some chunks of a pass; each is a systematic sample of the image's tiles, so few stand for all.
-
-    Args:
-        taken: the pass.
-        unresolved: `lattice_error` of the image [band].
-    """
+def pilot(taken: Pass) -> Pilot:
+    """Compute some chunks of a pass; each is a systematic sample of the image's tiles, so few stand for all."""
     chunks, taken = taken.chunks(), taken._replace(number=as_number(OF_PILOTS))
     of, together = of_items(estimate_chunk, taken), cores()
     compiled = _timed(of, chunks[:1])[1]
@@ -67,7 +62,7 @@ def pilot(taken: Pass, unresolved: Array | None = None) -> Pilot:
     share = by_strata(alike, among)
     variance = (1 - share) * variance + share * within
     sampled = taken.method.samples_particles(taken.lit.scene)
-    left = np.asarray(share_left_out(as_float(orders) if sampled else None, unresolved, as_float(intensity)))
+    left = np.asarray(share_left_out(as_float(orders) if sampled else None, taken.lacking, as_float(intensity)))
     return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled, left)
 
 

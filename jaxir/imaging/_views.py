@@ -24,6 +24,7 @@ from jaxir.imaging._chunks import (
     division,
     estimate_chunk,
     eye_outside,
+    lacking_in,
     parts_for,
     whole_image,
 )
@@ -138,11 +139,13 @@ class Look(NamedTuple):
         view: number of the view.
         number: of the look at it.
         camera: the eye.
+        lacking: of `lacking_in`.
     """
 
     view: Array | np.ndarray
     number: Array | np.ndarray
     camera: Camera
+    lacking: Any
 
 
 class Views(NamedTuple):
@@ -153,12 +156,14 @@ class Views(NamedTuple):
         cameras: of all views [view].
         aspect: azimuth and elevation [view, 2] [deg].
         left: share that bounces leave out [band], where the method was chosen, else None.
+        lacking: of `lacking_in` [view, band].
     """
 
     shared: Shared
     cameras: Camera
     aspect: Array
     left: Array | None
+    lacking: Array | None
 
 
 def signature(
@@ -231,7 +236,7 @@ def signature(
     index = np.arange(asked.aspect.shape[0], dtype=np.int32)
     mesh = shared_by(devices, index.size, "views")
     if is_traced(asked):
-        looks = Look(placed(index), placed(np.zeros(index.size, np.int32)), asked.cameras)
+        looks = Look(placed(index), placed(np.zeros(index.size, np.int32)), asked.cameras, asked.lacking)
         return whole_table(asked, stacked(view_intensity, asked.shared, looks, "signature", mesh))
     found: list[Any] = [None] * index.size
     for view, values in each_view(asked, index, until, "signature", mesh):
@@ -252,10 +257,10 @@ def each_view(
         label: of the progress bar.
         devices: of `shared_by`; None for one.
     """
-    cameras = jax.tree.map(np.asarray, views.cameras)
+    seen = jax.tree.map(np.asarray, (views.cameras, views.lacking))
 
     def looks_at(view: Int[np.ndarray, " look"], number: Int[np.ndarray, " look"]) -> Look:
-        return Look(view, number, jax.tree.map(lambda leaf: leaf[view], cameras))
+        return Look(view, number, *jax.tree.map(lambda leaf: leaf[view], seen))
 
     return until_met(view_intensity, views.shared, index, looks_at, until, label, devices)
 
@@ -305,11 +310,14 @@ def prepare_views(
         given, found = way_for_views(lit, cameras, key, until.goal(samples))
         left = as_float(found)
     method = given.resolved(scene)
-    lit = with_scattered(lit, method)
-    lit = enforce(lit, solution_checks(lit))
+    bare, lacking = lit, None
+    lit = with_scattered(bare, method)
+    if lit is not bare:
+        lit = enforce(lit, solution_checks(lit))
+        lacking = stacked(lacking_in, lit, jax.vmap(Camera.undivided)(cameras), "lattice")
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
     strata = division(samples, not is_traced((lit, cameras, key)))
-    return Views(Shared(lit, key, strata, method, split), cameras, aspect, left)
+    return Views(Shared(lit, key, strata, method, split), cameras, aspect, left, lacking)
 
 
 def check_views(
@@ -360,7 +368,7 @@ def view_intensity(shared: Shared, look: Look) -> tuple[Array, ...]:
     """Contrast intensity of one view, its standard error, the share left out [band]; by component, with errors."""
     lit, camera, key = shared.lit, look.camera, jax.random.fold_in(shared.key, look.view)
     own = key, jnp.asarray(look.number, jnp.uint32), shared.strata, shared.method, parts_for()
-    taken = Pass(aimed(lit, camera), camera, *own, components=shared.components)
+    taken = Pass(aimed(lit, camera), camera, *own, components=shared.components, lacking=look.lacking)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
     parts = () if shared.components is None else (image.component_intensity(), image.component_error())
     return image.radiant_intensity(), image.intensity_error(), image.truncation, *parts

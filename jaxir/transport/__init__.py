@@ -38,6 +38,7 @@ from jaxir.transport.evaluation import aimed as aimed
 from jaxir.transport.evaluation import bounced as bounced
 from jaxir.transport.evaluation import evaluate as evaluate
 from jaxir.transport.evaluation import evaluate_orders as evaluate_orders
+from jaxir.transport.evaluation import unaimed as unaimed
 from jaxir.transport.evaluation import unoccluded_radiance as unoccluded_radiance
 from jaxir.transport.evaluation import with_scattered as with_scattered
 from jaxir.transport.ordinates import lattice_error as lattice_error

@@ -48,6 +48,14 @@ def aimed(lit: Lit, camera: Camera) -> Lit:
     return eqx.tree_at(lambda lit: lit.medium, lit, lit.medium.aimed_at(camera.eye))
 
 
+def unaimed(lit: Lit) -> Lit:
+    """The same before it was `aimed`."""
+    if not isinstance(lit.medium, Scattered):
+        return lit
+    parts = tuple(dataclasses.replace(part, aimed=None) for part in lit.medium.parts)
+    return eqx.tree_at(lambda lit: lit.medium, lit, dataclasses.replace(lit.medium, parts=parts))
+
+
 def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
     """The medium with its scattered light, or as it was found for the same values before."""
     if is_traced(asked):
