@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxir._math import matmul
+from jaxir._math import dot, matmul
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.imaging._devices import stacked
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene, on_nodes
 from jaxir.scene.plume import AbstractPlume
-from jaxir.transport import Method, evaluate, trace
+from jaxir.transport import Method, Paths, evaluate, trace
 
 SIDE = 32  # rays along each side of a plume's outline on the screen
 EDGES = 4  # times what cells miss to second order: many are lit through sides that no next cell tells of
@@ -55,29 +55,35 @@ def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera, method: Method
         cameras: [view].
         method: how light is found.
     """
-    both = [(plume.extent(), on_nodes(finer, nodes)) for plume, finer in refined(scene)]
+    both = [(plume, on_nodes(finer, nodes)) for plume, finer in refined(scene)]
     asked = on_nodes(scene, nodes), both, beams_in_cells(scene, method)
     return stacked(_changes, asked, jax.vmap(Camera.undivided)(cameras), "quadrature")
 
 
 @program
-def _changes(asked: tuple[Lit, list[tuple[Array, Lit]], bool], camera: Camera) -> Float[Array, " band"]:
+def _changes(asked: tuple[Lit, list[tuple[AbstractPlume, Lit]], bool], camera: Camera) -> Float[Array, " band"]:
     """What `quadrature_error` adds up of one view."""
     lit, both, beams = asked
     total = jnp.zeros(lit.nodes.response.shape[0], camera.pixel.dtype)
-    for extent, finer in both:
-        screen, weight = camera.spread_over(extent, SIDE)
+
+    def look(plume: AbstractPlume) -> tuple[Array, Paths]:
+        """Weights and paths of rays through a plume."""
+        screen, weight = camera.spread_over(plume.extent(), SIDE)
         rays = camera.bundle(screen, lit.scene.start(camera)).rays()
-        paths = trace(lit.scene, rays, Method(direct=None, orders=0))
+        return weight, trace(lit.scene, rays, Method(direct=None, orders=0))
+
+    for plume, finer in both:
+        weight, paths = look(plume)
         change = evaluate(finer, paths) - evaluate(lit, paths)
         total = total + SLOW * jnp.abs(lit.nodes.in_band(matmul(weight, change)))
     if beams:
         assert lit.scene.plume is not None and lit.medium is not None
-        screen, weight = camera.spread_over(lit.scene.plume.extent(), SIDE)
-        rays = camera.bundle(screen, lit.scene.start(camera)).rays()
-        length = trace(lit.scene, rays, Method(direct=None, orders=0)).first.length
+        weight, paths = look(lit.scene.plume)
+        rays, length = paths.first.rays, paths.first.length
         for source, irradiance in zip(lit.scene.summed_beams, lit.beams, strict=True):
             assert source.travel is not None
-            missed = matmul(weight, lit.medium.missed(irradiance, source.travel, rays, length))
+            lacks = lit.medium.missed(irradiance, source.travel, rays.direction[0])
+            sent = lit.medium.in_scattered(lacks, dot(rays.direction, -source.travel[None]), rays, length)
+            missed = matmul(weight, sent)
             total = total + EDGES * lit.nodes.in_band(missed if lit.air is None else missed * lit.air.transmittance)
     return total

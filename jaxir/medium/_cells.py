@@ -14,7 +14,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float
-from jaxir._math import dot
 from jaxir.geometry import Crossings, Grid, Rays, crossings
 from jaxir.medium._crossing_sum import crossing_sum
 from jaxir.medium._march import march, transmittance
@@ -164,19 +163,19 @@ class CellMedium(AbstractScatterer):
         t_max: Float[Array, " ray"],
     ) -> Float[Array, "ray node"]:
         """See `AbstractMedium.in_scattered`; every cell is lit as its centre is."""
-        return self._sent(irradiance, as_float(1.0), cosine, rays, t_max)
+        assert self.scattering_coefficient is not None and self.phase is not None
+        dark = jnp.zeros((rays.count, self.extinction.shape[-1]), self.extinction.dtype)
+        source = self.scattering_coefficient * irradiance.reshape(self.scattering_coefficient.shape)
+        sent = march(self.grid, self.extinction, source, rays, t_max, dark)
+        return sent * jax.vmap(self.phase.eval)(cosine)
 
     def missed(
-        self,
-        irradiance: Float[Array, "point node"],
-        travel: Float[Array, " 3"],
-        rays: Rays,
-        t_max: Float[Array, " ray"],
-    ) -> Float[Array, "ray node"]:
+        self, irradiance: Float[Array, "point node"], travel: Float[Array, " 3"], direction: Float[Array, " 3"]
+    ) -> Float[Array, "point node"]:
         """See `AbstractMedium.missed`: sum_i d_i (d_i + 2 u_i) / 24 of every cell's share, by the axes i of the grid.
 
         To second order: d_i is the step of the beam's optical depth to the next cell, the larger one, or that of the
-        cell along the beam where no next one is lit, u_i that of the cell along the first ray.
+        cell along the beam where no next one is lit, u_i that of the cell along the ray.
         """
         size, along = self.grid.spacing, jnp.abs(travel)
         alone = self.extinction * jnp.min(jnp.where(along > 0, size / jnp.where(along > 0, along, 1), jnp.inf))
@@ -188,23 +187,8 @@ class CellMedium(AbstractScatterer):
             ends = [[(int(i == axis) * side, int(i == axis) * (1 - side)) for i in range(4)] for side in (0, 1)]
             found = functools.reduce(jnp.maximum, [jnp.pad(step, pads, constant_values=-1) for pads in ends])
             own = jnp.where(found < 0, alone, found)
-            share = share + own * (own + 2 * self.extinction * size[axis] * jnp.abs(rays.direction[0, axis])) / 24
-        return self._sent(irradiance, share, dot(rays.direction, -travel[None]), rays, t_max)
-
-    def _sent(
-        self,
-        irradiance: Float[Array, "point node"],
-        share: Float[Array, "*cell_node"],
-        cosine: Float[Array, " ray"],
-        rays: Rays,
-        t_max: Float[Array, " ray"],
-    ) -> Float[Array, "ray node"]:
-        """Shares of the light of a beam that cells scatter once towards the rays' origins."""
-        assert self.scattering_coefficient is not None and self.phase is not None
-        dark = jnp.zeros((rays.count, self.extinction.shape[-1]), self.extinction.dtype)
-        source = self.scattering_coefficient * irradiance.reshape(self.scattering_coefficient.shape) * share
-        sent = march(self.grid, self.extinction, source, rays, t_max, dark)
-        return sent * jax.vmap(self.phase.eval)(cosine)
+            share = share + own * (own + 2 * self.extinction * size[axis] * jnp.abs(direction[axis])) / 24
+        return irradiance * share.reshape(irradiance.shape)
 
     def _cell(self, point: Float[Array, "ray 3"], margin: float) -> tuple[tuple[Array, ...], Bool[Array, "ray 1"]]:
         """Indices of the cells of points, and whether these lie inside the grid or within `margin` cells of it.

@@ -119,13 +119,9 @@ class AbstractMedium(eqx.Module):
         raise NotImplementedError(f"{type(self).__name__}: beams are sampled where paths are scattered")
 
     def missed(
-        self,
-        irradiance: Float[Array, "point node"],
-        travel: Float[Array, " 3"],
-        rays: Rays,
-        t_max: Float[Array, " ray"],
-    ) -> Float[Array, "ray node"]:
-        """About what `in_scattered` of a beam that travels so leaves out [ray, node] [W m-2 sr-1]."""
+        self, irradiance: Float[Array, "point node"], travel: Float[Array, " 3"], direction: Float[Array, " 3"]
+    ) -> Float[Array, "point node"]:
+        """About what `in_scattered` lacks of the irradiance of a beam that travels so, for rays of a direction."""
         raise NotImplementedError(f"{type(self).__name__}: beams are sampled where paths are scattered")
 
 
