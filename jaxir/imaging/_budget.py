@@ -123,6 +123,7 @@ class ErrorBudget(eqx.Module):
 def budget(
     intensity: Float[Array, "*view band"],
     sampling: Float[Array, "*view band"],
+    contrast: Float[Array, "*view band"],
     spectral: Float[Array, "*each band"] | None,
     truncation: Float[Array, "*view band"],
     outside: Float[Array, " band"] | None,
@@ -130,25 +131,24 @@ def budget(
     asked: Asked | None,
     look: bool,
 ) -> ErrorBudget:
-    """The budget of intensities; nodes, orders and what is outside come as shares of them.
+    """The budget of intensities; orders come as shares of them, nodes and what is outside as shares of the contrast.
 
-    What is not known yet is found where it is known what was `asked`, by rays only with `look`.
+    What nodes err of a hot plume stays where a cold plate beside it makes the intensity vanish. What is not known yet
+    is found where it is known what was `asked`, by rays only with `look`.
     """
-    none = jnp.zeros_like(intensity)
-
-    def times(share: Array | None) -> Array | None:
-        return None if share is None else _product(jnp.abs(intensity), share)
-
-    left_out = times(truncation)
-    beyond = none if outside is None else times(_of_what_is_seen(outside))
-    assert left_out is not None and beyond is not None
+    left_out = _product(jnp.abs(intensity), truncation)
+    beyond = jnp.zeros_like(intensity) if outside is None else _product(contrast, _of_what_is_seen(outside))
     quadrature = bounces = None
     if asked is not None and not isinstance(intensity, jax.core.Tracer):
         spectral = asked.spectral(look) if spectral is None else spectral
         quadrature = asked.quadrature(look)
-        known, several = asked.left is not None, intensity.ndim > 1
-        bounces = times(asked.left) if known and not (look and several) else asked.bounces(look)
-    return ErrorBudget(intensity, sampling, times(spectral), quadrature, left_out, bounces, beyond, bands)
+        of_worst_view = intensity.ndim > 1
+        if asked.left is None or (look and of_worst_view):
+            bounces = asked.bounces(look)
+        else:
+            bounces = _product(jnp.abs(intensity), asked.left)
+    by_nodes = None if spectral is None else _product(contrast, spectral)
+    return ErrorBudget(intensity, sampling, by_nodes, quadrature, left_out, bounces, beyond, bands)
 
 
 @program
@@ -157,10 +157,10 @@ def _total(parts: list[Array]) -> Array:
 
 
 @program
-def _product(intensity: Array, share: Array) -> Array:
-    share = jnp.broadcast_to(share, intensity.shape)
+def _product(whole: Array, share: Array) -> Array:
+    share = jnp.broadcast_to(share, whole.shape)
     some = (share > 0) & (share < jnp.inf)
-    return jnp.where(some, intensity * jnp.where(some, share, 0), jnp.where(share > 0, jnp.inf, 0))
+    return jnp.where(some, whole * jnp.where(some, share, 0), jnp.where(share > 0, jnp.inf, 0))
 
 
 @program

@@ -46,8 +46,8 @@ class Image(eqx.Module):
             [W sr-1]; None without particles.
         unresolved: what the lattice of `DiscreteOrdinates` lacks of the plumes' intensity in the image, estimated
             [band] [W sr-1]; None without.
-        spectral: what the spectral nodes err, as a share of the intensity [band]; None where they were given.
-        outside: share of the scene's intensity beyond the frame, roughly [band], see `share_outside`; None unknown.
+        spectral: what the spectral nodes err, as a share of `contrast` [band]; None where they were given.
+        outside: share of what the scene sends beyond the frame, roughly [band], see `share_outside`; None unknown.
         asked: what it is an image of, for `error_budget`; None where values were known only inside jit.
         components: names of what `parts` holds, where `render` was asked for components.
         parts: the radiance by where its light comes from [row, column, component, band]; it adds up to `radiance`.
@@ -101,6 +101,14 @@ class Image(eqx.Module):
         """
         return _intensity(self.camera, self.radiance, self.empty)
 
+    def contrast(self) -> Float[Array, " band"]:
+        """What pixels differ by from the empty image, whatever its sign [band] [W sr-1].
+
+        Sum over pixels of |L - L_empty| * area: the absolute `radiant_intensity` where everything is brighter than what
+        is behind it, or everything darker, and more where one part makes up for the other.
+        """
+        return _contrast(self.camera, self.radiance, self.empty)
+
     def intensity_error(self) -> Float[Array, " band"]:
         """Standard error of `radiant_intensity` [band] [W sr-1]; pixels are sampled independently.
 
@@ -116,8 +124,8 @@ class Image(eqx.Module):
                 and what bounces left out would add. The first look at scenes of one structure compiles as much as an
                 image; without it they are not known, unless nothing can be there.
         """
-        own = self.radiant_intensity(), self.intensity_error(), self.spectral, self.truncation, self.outside
-        return budget(*own, self.bands, self.asked, look)
+        own = self.radiant_intensity(), self.intensity_error(), self.contrast(), self.spectral
+        return budget(*own, self.truncation, self.outside, self.bands, self.asked, look)
 
     @property
     def truncation(self) -> Float[Array, " band"]:
@@ -132,6 +140,11 @@ class Image(eqx.Module):
 @program
 def _intensity(camera: Camera, radiance: Array, empty: Array) -> Float[Array, " band"]:
     return jnp.sum((radiance - empty) * camera.pixel_area()[:, :, None], axis=(0, 1))
+
+
+@program
+def _contrast(camera: Camera, radiance: Array, empty: Array) -> Float[Array, " band"]:
+    return jnp.sum(jnp.abs(radiance - empty) * camera.pixel_area()[:, :, None], axis=(0, 1))
 
 
 @program

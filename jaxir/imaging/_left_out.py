@@ -48,7 +48,7 @@ class Asked(eqx.Module):
     left: Float[Array, " band"] | None = None
 
     def spectral(self, look: bool) -> Float[Array, " band"] | None:
-        """What the nodes err, as a share of the intensity [band]; None where no look is taken or none can tell."""
+        """What the nodes err, as a share of the contrast [band]; None where no look is taken or none can tell."""
         if self.scene.has_spectrum and not look:
             return None
         with jax.ensure_compile_time_eval():

@@ -28,7 +28,7 @@ from jaxir.imaging._tolerance import FIRST, Goal, Tolerance, seconds_of, toleran
 
 MARGIN = 0.9  # of the error asked for that is aimed at: what the first look tells is itself uncertain
 ROUNDS = 3  # at most, after the first look; each decides for the next
-ERRORS = (1, 4)  # places of standard errors in what a look finds
+ERRORS = (1, 5)  # places of standard errors in what a look finds
 
 
 class Repeats(NamedTuple):
@@ -85,8 +85,8 @@ def until_met(
     """Views and what was found of each, as it is ready.
 
     Args:
-        look: `look(inputs, item)` of a look at a view: its intensity, its standard error and the share left out [band],
-            and by component the same two; compiled once.
+        look: `look(inputs, item)` of a look at a view: its intensity, its standard error, the share left out and the
+            contrast [band], and by component the first two; compiled once.
         inputs: its first argument.
         views: those to look at.
         looks_at: the items of looks, stacked, of their views and their numbers, which count through the looks at each.

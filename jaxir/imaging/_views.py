@@ -67,7 +67,7 @@ class Signature(eqx.Module):
         bands: band names.
         truncation: estimated share of `intensity` that is left out of what particles scatter, see `Image.truncation`
             [view, band].
-        spectral: what the spectral nodes err, as a share of the intensity [band], or [view, band] of several states;
+        spectral: what the spectral nodes err, as a share of `contrast` [band], or [view, band] of several states;
             None where they were given.
         asked: what it is the signature of, for `error_budget`; None where values were known only inside jit, and of
             several states.
@@ -77,6 +77,7 @@ class Signature(eqx.Module):
         parts_error: standard error of `parts`, see `Image.component_error`.
         axes: names of what else varies from row to row than the aspect, see `jaxir.io.result.sweep`.
         state: its values [view, axis].
+        contrast: of which `spectral` is a share, see `Image.contrast` [view, band] [W sr-1]; None for the intensity's.
     """
 
     azimuth: Float[Array, " view"]
@@ -92,13 +93,15 @@ class Signature(eqx.Module):
     parts_error: Float[Array, "view component band"] | None = None
     axes: tuple[str, ...] = eqx.field(static=True, default=())
     state: Float[Array, "view axis"] | None = None
+    contrast: Float[Array, "view band"] | None = None
 
     def error_budget(self, look: bool = True) -> ErrorBudget:
         """The intensities with all that is known of their errors, see `Image.error_budget`.
 
         Every view holds the whole scene.
         """
-        own = self.intensity, self.standard_error, self.spectral, self.truncation
+        contrast = jnp.abs(self.intensity) if self.contrast is None else self.contrast
+        own = self.intensity, self.standard_error, contrast, self.spectral, self.truncation
         return budget(*own, None, self.bands, self.asked, look)
 
     def meets(self, rtol: float | None = None, atol: float | None = None) -> Bool[np.ndarray, " view"]:
@@ -273,13 +276,13 @@ def remembering(table: Signature, scene: Scene, views: Views) -> Signature:
 
 def whole_table(views: Views, found: tuple[Array, ...]) -> Signature:
     """The table of what `view_intensity` found in all views."""
-    intensity, error, truncation, *parts = found
+    intensity, error, truncation, contrast, *parts = found
     _, aspect = on_host(views.aspect)
     azimuth, elevation = (placed(angle) for angle in aspect.T)
     shared, nodes = views.shared, views.shared.lit.nodes
     names = () if shared.components is None else shared.components.names
     own = nodes.names, truncation, nodes.error, None, names, *(parts or (None, None))
-    return Signature(azimuth, elevation, intensity, error, *own)
+    return Signature(azimuth, elevation, intensity, error, *own, contrast=contrast)
 
 
 def prepare_views(
@@ -365,10 +368,10 @@ def _checked(
 
 @program
 def view_intensity(shared: Shared, look: Look) -> tuple[Array, ...]:
-    """Contrast intensity of one view, its standard error, the share left out [band]; by component, with errors."""
+    """Intensity of one view, its error, the share left out, `Image.contrast` [band]; by component, with errors."""
     lit, camera, key = shared.lit, look.camera, jax.random.fold_in(shared.key, look.view)
     own = key, jnp.asarray(look.number, jnp.uint32), shared.strata, shared.method, parts_for()
     taken = Pass(aimed(lit, camera), camera, *own, components=shared.components, lacking=look.lacking)
     image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
     parts = () if shared.components is None else (image.component_intensity(), image.component_error())
-    return image.radiant_intensity(), image.intensity_error(), image.truncation, *parts
+    return image.radiant_intensity(), image.intensity_error(), image.truncation, image.contrast(), *parts

@@ -43,6 +43,22 @@ def test_bands_take_the_nodes_that_a_gas_needs_and_tell_what_they_err(air):
     np.testing.assert_allclose(given, np.abs(1 - meant / target), rtol=0.1)
 
 
+def test_what_nodes_err_of_a_plume_is_told_where_a_cold_plate_makes_up_for_its_light():
+    """It was a share of the intensity: .5 W/sr beside an error of 3.5, where -.15 was left of +.7 and -.9."""
+    corners = np.array([[-1.0, 0.0, -0.5], [-1.0, 0.5, -0.5], [-1.0, 0.5, 0.5], [-1.0, 0.0, 0.5]])
+    cold = jaxir.Skin(jaxir.Mesh(corners, [[0, 1, 2], [0, 2, 3]]), 100.0, jaxir.Lambert(1.0))
+    scene = jaxir.Scene(cold, slab().plumes[0], background=jaxir.BlackbodyBackground(250.0))
+    half_each = jaxir.orthographic_camera(0.0, 0.0, 0.2, (1, 2), (0.4, 0.38, 0.0))
+    fine = jaxir.render(scene, half_each, jaxir.resolved_nodes((LWIR,), 50.0, 12, 8), samples=2).radiant_intensity()
+    gray = jaxir.gray_nodes((LWIR,))
+    image = jaxir.render(scene, half_each, gray, samples=2)
+    np.testing.assert_allclose(image.error_budget().spectral, np.abs(image.radiant_intensity() - fine), rtol=0.1)
+    table = jaxir.signature(scene, [[0.0, 0.0]], gray, shape=(8, 8))
+    seen = table.error_budget().spectral[0] / table.contrast[0]
+    np.testing.assert_allclose(seen, image.error_budget().spectral / image.contrast(), rtol=1e-5)
+    assert 1.5 * float(table.intensity[0, 0]) < float(table.contrast[0, 0])
+
+
 def test_what_is_gray_takes_one_node_a_band_and_what_is_asked_is_kept():
     gray = jaxir.Scene(plate(), gray_box((1.0, 1.0, 1.0), 0.5), atmosphere=jaxir.UniformAtmosphere(1e3, 1e-4, 288.0))
     assert scene_nodes(gray, BANDS).count == 3

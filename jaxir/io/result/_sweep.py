@@ -38,7 +38,7 @@ from jaxir.scene import Scene
 from jaxir.transport import Method
 
 CONDITIONS = "conditions.json"
-_VALUES = ("intensity", "standard_error", "truncation")
+_VALUES = ("intensity", "standard_error", "truncation", "contrast")
 _SPLIT = ("component_intensity", "component_error")
 _DAMAGED = "got a damaged file, expected a finished view; delete it to repeat it"
 
@@ -232,6 +232,7 @@ def joined_tables(tables: Sequence[Signature], states: Sequence[Mapping[str, flo
         standard_error=together("standard_error"),
         bands=bands,
         truncation=together("truncation"),
+        contrast=together("contrast"),
         spectral=jnp.concatenate(spread) if len(spread) == len(tables) else None,
         components=components,
         parts=together("parts"),
@@ -250,7 +251,7 @@ class _Folder:
         self.components = () if views.shared.components is None else views.shared.components.names
         width = len(self.bands)
         split = [(len(self.components), width)] * 2 if self.components else []
-        self.shapes = [(width,), (width,), (width,), *split]  # of the values of a view
+        self.shapes = [*[(width,)] * len(_VALUES), *split]  # of the values of a view
         self.names = [*_VALUES, *(_SPLIT if self.components else ())]
 
     def view(self, index: int) -> Path:
