@@ -248,7 +248,9 @@ def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
     def whole(value: Any) -> Any:
         if value is None:
             return None
-        return _untile(camera, value.reshape((*value.shape[:3], -1))).reshape((*camera.shape, *value.shape[3:]))
+        of_tile = jnp.swapaxes(value.reshape((*value.shape[:3], -1)), 0, 1)
+        of_tile = of_tile.reshape((-1, *of_tile.shape[2:]))[: camera.tiles[0] * camera.tiles[1]]
+        return camera.untile(of_tile).reshape((*camera.shape, *value.shape[3:]))
 
     others = {name: whole(value) for name, value in parts._asdict().items() if name != "empty"}
     empty = parts.empty[:1, :1, 0] if parts.empty.shape[2] == 1 else whole(parts.empty)
@@ -258,18 +260,21 @@ def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
 @program
 def image_of_pixels(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""]) -> Image:
     """The image of estimates [row, column, ...] from `samples` rays per pixel."""
+    return _image(taken, pixels, samples, share_outside(taken.lit, taken.camera))
+
+
+def image_of_all(taken: Pass, parts: Estimate) -> Image:
+    """As `whole_image`, of a frame that is known to hold the whole scene."""
+    return _image(taken, every_pixel(taken, parts), 2 * taken.strata.count, None)
+
+
+def _image(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""], outside: Array | None) -> Image:
     camera, nodes = taken.camera, taken.lit.nodes
     names = () if taken.components is None else taken.components.names
     variance, parts_variance = pixels.surer()
     own = pixels.mean, variance, pixels.empty, samples, pixels.orders
-    about = taken.lacking, nodes.error, share_outside(taken.lit, camera)
+    about = taken.lacking, nodes.error, outside
     return image_of(camera, nodes.names, *own, *about, names, pixels.parts, parts_variance)
-
-
-def _untile(camera: Camera, value: Float[Array, "chunk tile pixel band"]) -> Float[Array, "row column band"]:
-    """An image from the values of all chunks."""
-    flat = jnp.swapaxes(value, 0, 1).reshape((-1,) + value.shape[2:])
-    return camera.untile(flat[: camera.tiles[0] * camera.tiles[1]])
 
 
 @program

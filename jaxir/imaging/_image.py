@@ -200,7 +200,7 @@ def image_of(
     orders: Float[Array, "row column 2 band"] | None,
     unresolved: Float[Array, " band"] | None,
     spectral: Float[Array, " band"] | None,
-    outside: Float[Array, " band"],
+    outside: Float[Array, " band"] | None,
     components: tuple[str, ...],
     parts: Float[Array, "row column component band"] | None,
     parts_variance: Float[Array, "row column component band"] | None,

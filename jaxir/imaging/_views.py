@@ -24,9 +24,9 @@ from jaxir.imaging._chunks import (
     division,
     estimate_chunk,
     eye_outside,
+    image_of_all,
     lacking_in,
     parts_for,
-    whole_image,
 )
 from jaxir.imaging._devices import shared_by, stacked
 from jaxir.imaging._entry import path_doubts, require_parts
@@ -372,6 +372,6 @@ def view_intensity(shared: Shared, look: Look) -> tuple[Array, ...]:
     lit, camera, key = shared.lit, look.camera, jax.random.fold_in(shared.key, look.view)
     own = key, jnp.asarray(look.number, jnp.uint32), shared.strata, shared.method, parts_for()
     taken = Pass(aimed(lit, camera), camera, *own, components=shared.components, lacking=look.lacking)
-    image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
+    image = image_of_all(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
     parts = () if shared.components is None else (image.component_intensity(), image.component_error())
     return image.radiant_intensity(), image.intensity_error(), image.truncation, image.contrast(), *parts

@@ -156,9 +156,12 @@ class Scene(eqx.Module):
 
     def outline(self, most: int = BOXES) -> Float[Array, "row 96"]:
         """Boxes that hold skin and plumes, see `jaxir.geometry.search`; at most `most` for the skin, or 16."""
+        return self._outline(most, [plume.extent() for plume in self.plumes])
+
+    def _outline(self, most: int, corners: list[Array]) -> Float[Array, "row 96"]:
+        """`outline` about plumes with these corners."""
         boxes = [] if self.skin is None else [self.skin.mesh.outline(most)]
-        if self.plumes:
-            corners = [plume.extent() for plume in self.plumes]
+        if corners:
             boxes.append(
                 outline(jnp.stack([c.min(axis=0) for c in corners]), jnp.stack([c.max(axis=0) for c in corners]))
             )
@@ -166,7 +169,9 @@ class Scene(eqx.Module):
 
     def start(self, camera: Camera) -> Float[Array, ""]:
         """Height above a camera's target plane at which its rays start, see `clear_of` [m]; without derivative."""
-        return lax.stop_gradient(clear_of(self.outline(WIDTH), self.extent(), camera))
+        corners = [plume.extent() for plume in self.plumes]
+        points = jnp.concatenate([*([] if self.skin is None else [self.skin.mesh.vertices]), *corners])
+        return lax.stop_gradient(clear_of(self._outline(WIDTH, corners), points, camera))
 
     def checks(self) -> list[Check]:
         """The checks of every part present."""

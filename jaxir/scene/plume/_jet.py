@@ -31,6 +31,7 @@ from jaxir.scene.plume._grid import GridPlume
 from jaxir.scene.plume._plume import AbstractPlume, Proposal, sample_between
 
 SLABS, LEVELS = 10, 3  # pieces along the axis, and boxes within one another across it
+_SQUARE = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1]])  # its corners
 
 
 class JetPlume(AbstractPlume):
@@ -141,14 +142,9 @@ class JetPlume(AbstractPlume):
         u, v, w = frame_around(self.direction)
         end = self.shape.end
         near, far = self.diameter / 2, self.shape.edge(end)
-        return jnp.stack(
-            [
-                self.nozzle + z * w + r * (a * u + b * v)
-                for z, r in ((jnp.zeros_like(near), near), (end, far))
-                for a in (-1, 1)
-                for b in (-1, 1)
-            ]
-        )
+        across, up = as_float(_SQUARE)[:, :, None]
+        square = across * u[None] + up * v[None]
+        return self.nozzle[None] + jnp.concatenate([near * square, end * w[None] + far * square])
 
     def medium(self, nodes: Nodes) -> JetMedium:
         """See `AbstractPlume.medium`. Differentiable in the jet's fields."""
