@@ -79,8 +79,8 @@ def test_emission_and_reflection_add_up(name, cos_o, x64):
     brdf = BRDFS[name]().at(jnp.asarray(FACE))
     normal = jnp.asarray(NORMAL)
     omega_o = tilted(towards(cos_o))
-    # steps in z**2 = equal cosine-weighted steps; finer around the peaks by sheer number
-    rings, sectors = 1200, 720
+    # steps in z**2 = equal cosine-weighted steps; finer around the peaks by sheer number, of which a table has none
+    rings, sectors = (400, 240) if name == "table" else (1200, 720)
     cos = np.sqrt((np.arange(rings) + 0.5) / rings)
     angle = (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
     total = np.pi * np.asarray(rings_of(brdf, omega_o, normal, jnp.asarray(cos), jnp.asarray(angle))).mean(axis=0)

@@ -73,6 +73,7 @@ def test_one_hot_cell_is_as_large_as_it_is(count):
     assert 0.5 < float(found[0]) / (6.0 / count) ** 2 < 2
 
 
+@pytest.mark.optimised
 @pytest.mark.parametrize("asked", [{"rtol": 0.1}, {"pixel_rtol": 0.2}], ids=str)
 @pytest.mark.parametrize("name", ["hot and small", "far apart"])
 def test_what_is_small_and_bright_is_not_missed(name, asked):
