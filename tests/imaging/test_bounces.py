@@ -1,5 +1,7 @@
 """Bounces as many as an error asked for needs: against long paths, in images, plans and tables."""
 
+import functools
+
 import jax
 import numpy as np
 import pytest
@@ -24,11 +26,18 @@ def eye(scene):
     return jaxir.fitted_camera(*VIEWS[0], scene.extent(), (32, 32))
 
 
+@functools.cache
+def followed(bounces):
+    """A corner of .3 by paths that go on so often."""
+    scene = corner(0.3)
+    return jaxir.render(scene, eye(scene), LWIR, samples=128, method=jaxir.Method(bounces=bounces))
+
+
 def test_an_image_and_a_table_follow_paths_as_far_as_is_asked():
     """What is left out stays below half of what is asked, and no more bounces than needed are followed."""
     scene, rtol = corner(0.3), 0.01
     camera = eye(scene)
-    long = jaxir.render(scene, camera, LWIR, samples=72, method=jaxir.Method(bounces=24))
+    long = followed(24)
     true, noise = float(long.radiant_intensity()[0]), float(long.intensity_error()[0])
     plan = jaxir.plan(scene, camera, LWIR, rtol)
     image = jaxir.render(scene, camera, LWIR, rtol=rtol)
@@ -40,8 +49,7 @@ def test_an_image_and_a_table_follow_paths_as_far_as_is_asked():
     assert f"paths go on from skin {bounces} times, and more of them would add about {plan.bounces:.2g}" in str(plan)
     off = abs(float(image.radiant_intensity()[0]) - true)
     assert off < 0.5 * rtol * true + 3 * float(image.intensity_error()[0]) + 3 * noise
-    fewer = jaxir.render(scene, camera, LWIR, samples=72, method=jaxir.Method(bounces=bounces - 1))
-    lacks = true - float(fewer.radiant_intensity()[0])
+    lacks = true - float(followed(bounces - 1).radiant_intensity()[0])
     assert lacks > 0.25 * rtol * true  # what is told is at most 1.35 times that, and two standard errors
     table = jaxir.signature(scene, VIEWS, LWIR, rtol=rtol, **RASTER)
     assert abs(table.asked.method.bounces - bounces) <= 1 and table.meets(rtol).all()
@@ -54,7 +62,7 @@ def test_an_image_and_a_table_follow_paths_as_far_as_is_asked():
 def test_pixels_to_an_error_hold_what_bounces_bring():
     scene = corner(0.3)
     camera = eye(scene)
-    long = jaxir.render(scene, camera, LWIR, samples=128, method=jaxir.Method(bounces=24))
+    long = followed(24)
     image = jaxir.render(scene, camera, LWIR, pixel_rtol=0.1)
     assert image.outcome == jaxir.Outcome.tolerance_met and image.asked.method.bounces > 0
     seen = np.asarray(long.radiance) > 0
