@@ -127,6 +127,8 @@ def _render(scene, camera=None, bands=jaxir.MWIR, **more):
             "Skin.brdf: got <class .*, expected",
         ),
         (lambda: require_part("camera", None, jaxir.Camera, "a camera"), "camera: got a NoneType, expected a camera"),
+        (lambda: jaxir.Band("", 3.0, 5.0), "Band.name: got '', expected"),
+        (lambda: jaxir.Band("MW\nIR", 3.0, 5.0), "Band.name: got 'MW.*nIR', expected a name that prints on one line"),
         (lambda: _skin(part=[0, 1], part_names=("a", "a")), r"Skin.part_names: got .'a', 'a'., expected different"),
         (lambda: key_or_default(1), "key: got 1, expected one key"),
         (

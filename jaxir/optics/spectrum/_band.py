@@ -50,6 +50,8 @@ class Band(eqx.Module):
         """Check and keep the edges; they are structure, so a new band compiles anew."""
         self.name, self.lower, self.upper = str(name), float(lower), float(upper)
         self.response = response
+        if not self.name.isprintable() or not self.name.strip():
+            raise ValueError(f"Band.name: got {self.name!r}, expected a name that prints on one line")
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and 0 < self.lower < self.upper):
             raise ValueError(
                 f"Band {self.name!r}: got edges {self.lower}, {self.upper} um, expected 0 < lower < upper, finite"
