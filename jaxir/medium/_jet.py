@@ -220,8 +220,8 @@ def _path_at_end(shape: JetShape, scattering: Float[Array, "knot node"] | None) 
     """See `JetMedium.path`, of the node that scatters most."""
     if scattering is None:
         return None
-    knot = jnp.round(shape.mixture_fraction(shape.end, jnp.zeros_like(shape.end)) * KNOTS).astype(jnp.int32)
-    return 1 / jnp.maximum(lax.stop_gradient(jnp.max(scattering[knot])), 1 / shape.end)
+    fraction = shape.mixture_fraction(shape.end, jnp.zeros_like(shape.end))
+    return 1 / jnp.maximum(jnp.max(between_knots(scattering, fraction[None])), 1 / shape.end)
 
 
 def _refined(table: Float[Array, "computed node"]) -> Float[Array, "knot node"]:

@@ -387,14 +387,25 @@ def test_derivatives_of_what_is_sampled_are_those_of_the_expected_value(x64):
     assert np.all(np.abs(each.mean(axis=0) - fine) < 3 * error + 0.01 * np.abs(fine))
 
 
-def test_derivatives_are_those_of_the_solution(x64):
-    """By temperature, loading and albedo, in both modes, against central differences."""
-    rays = rays_through(40)
+def jet_of(temperature, extinction, albedo):
+    particles = jaxir.GrayParticles(extinction, albedo, jaxir.HenyeyGreenstein(0.5))
+    return dataclasses.replace(jet(temperature), particles=particles)
+
+
+def cube_of(temperature, extinction, albedo):
+    return box(extinction, albedo, jaxir.HenyeyGreenstein(0.5), temperature, absorption=0.2, cells=2)
+
+
+@pytest.mark.parametrize("plume_of, about", [(cube_of, (0.0, 0.0, 0.0)), (jet_of, (-6.0, 0.0, 0.0))])
+def test_derivatives_are_those_of_the_solution(x64, plume_of, about):
+    """By temperature, loading and albedo, in both modes, against central differences; a jet's lattice moves with them.
+
+    Where it was held, slopes were off by 1 to 13 %.
+    """
+    rays = rays_through(40, about=about)
 
     def mean(values):
-        temperature, extinction, albedo = values
-        plume = box(extinction, albedo, jaxir.HenyeyGreenstein(0.5), temperature, absorption=0.2, cells=2)
-        return look(jaxir.Scene(None, plume), rays, COARSE).mean()
+        return look(jaxir.Scene(None, plume_of(*values)), rays, COARSE).mean()
 
     at, along = np.array([600.0, 1.5, 0.8]), np.array([1.0, 0.1, -0.2])
     forward = jax.jit(lambda at, along: jax.jvp(mean, (at,), (along,)))
