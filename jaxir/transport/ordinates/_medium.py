@@ -88,15 +88,19 @@ class Scattered(AbstractMedium):
         return jnp.sort(jnp.concatenate([cuts, jax.vmap(jnp.interp)(at, depth, cuts)], axis=1), axis=1)
 
     def _between(
-        self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array, served: Sequence[Array | bool]
+        self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array, served: Sequence[Array | bool | None]
     ) -> Float[Array, "ray node"]:
-        """Radiance between cuts [ray, node]; `served` tells of each part whether it is aimed at where rays meet."""
+        """Radiance between cuts [ray, node].
+
+        `served` tells of each part whether it is aimed at where rays meet; None leaves out what it scatters.
+        """
 
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
             point = rays.at(t)
             extinction, source = self.medium.coefficients(point)
             for part, meet in zip(self.parts, served, strict=True):
-                source = source + of_part(part, meet, point, rays.direction)
+                if meet is not None:
+                    source = source + of_part(part, meet, point, rays.direction)
             return extinction, source
 
         def of_part(part: Part, meet: Array | bool, point: Array, direction: Array) -> Array:
@@ -122,32 +126,31 @@ class Scattered(AbstractMedium):
         """How many spectral nodes there are."""
         return self.parts[0].moments.shape[2]
 
-    def lacking(self, rays: Rays, eye: Eye) -> tuple[Float[Array, "ray node"], ...]:
-        """What rays of an eye, of that at which it is aimed if it is, see of the plumes, and what that may lack.
+    def lacking(self, rays: Rays, eye: Eye, place: int) -> tuple[Float[Array, "ray node"], ...]:
+        """What rays of an eye, of that at which it is aimed if it is, see of one of the parts, and what that may lack.
 
-        Radiances [ray, node]: those of `Told` summed along rays, and `SLOW` times what changes as every piece of a ray
-        is halved. Where what the lattice errs is sampled, that is all of it.
+        Radiances [ray, node]: those of `Told` summed along rays, with what all parts emit, and `SLOW` times what
+        changes as every piece of a ray is halved. Where what the lattice errs is sampled, that is all of it.
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
         ready = self if self.parts[0].aimed is not None else self.aimed_at(eye)
-        every = [True] * len(self.parts)
+        part = ready.parts[place]
+        alone = [True if k == place else None for k in range(len(self.parts))]
 
         def told(point: Array) -> tuple[Array, list[Array]]:
             extinction, emission = self.medium.coefficients(point)
-            found = Told(emission, emission, jnp.zeros_like(emission), jnp.zeros_like(emission))
-            for part in ready.parts:
-                found = Told(*map(jnp.add, found, part.told(self._near(part, point))))
-            return extinction, list(found)
+            whole, rough, *others = part.told(self._near(part, point))
+            return extinction, [emission + whole, emission + rough, *others]
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
         if self.parts[0].doubt is None:
-            whole = ready._between(halved, rays, dark, every)
+            whole = ready._between(halved, rays, dark, alone)
             found = Told(whole, whole, dark, dark)
         else:
             found = Told(*summed(halved, rays, told))
-        return *found, SLOW * jnp.abs(found.whole - ready._between(cuts, rays, dark, every))
+        return *found, SLOW * jnp.abs(found.whole - ready._between(cuts, rays, dark, alone))
 
     def expected(
         self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"], omega: Float[Array, "ray 3"]
@@ -289,16 +292,15 @@ def chosen_rays(part: Part, camera: Camera, start: Float[Array, ""]) -> tuple[Ra
 def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
     """What the lattice lacks of the intensity of plumes in a camera's image [band] [W sr-1].
 
-    It is what `Scattered.lacking` sees from there, and what changed from fewer harmonics to those there are, through
-    the air. None where nothing was solved for. Skin in front of plumes is not looked for.
+    It is what `Scattered.lacking` sees from there of each plume, and what changed from fewer harmonics to those there
+    are, through the air. None where nothing was solved for. Skin in front of plumes is not looked for.
     """
     if not isinstance(lit.medium, Scattered):
         return None
-    found = jnp.zeros((5, lit.nodes.count), camera.pixel.dtype)
-    for part in lit.medium.parts:
+    total = jnp.zeros(lit.nodes.response.shape[0], camera.pixel.dtype)
+    for place, part in enumerate(lit.medium.parts):
         rays, weight = chosen_rays(part, camera, lit.scene.start(camera))
-        found = found + jnp.stack([matmul(weight, radiance) for radiance in lit.medium.lacking(rays, camera.eye)])
-    if lit.air is not None:
-        found = found * lit.air.transmittance[None]
-    whole, rough, reading, beams, pieces = (lit.nodes.in_band(each) for each in found)
-    return reading + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
+        found = jnp.stack([matmul(weight, radiance) for radiance in lit.medium.lacking(rays, camera.eye, place)])
+        whole, rough, reading, beams, pieces = lit.nodes.in_band(lit.dimmed_by_air(found))
+        total = total + reading + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
+    return total
