@@ -43,7 +43,6 @@ def _assert_same(path, expected):
             np.testing.assert_allclose(found[name], want, rtol=1e-6, atol=1e-6 * np.abs(want).max())
 
 
-@pytest.mark.optimised  # as other processes compile it
 def test_two_devices_and_two_processes_agree_with_one_device(tmp_path):
     port = _free_port()
     running = [_start(tmp_path / "devices.npz", flags="--xla_force_host_platform_device_count=2")]

@@ -53,7 +53,6 @@ def _killed(folder, finished):
     return {file.name: file.stat().st_mtime_ns for file in folder.glob("view_*.npz")}
 
 
-@pytest.mark.optimised  # as other processes compile it
 def test_a_killed_sweep_goes_on(tmp_path, computed):
     folder = tmp_path / "sweep"
     kept = _killed(folder, 3)
