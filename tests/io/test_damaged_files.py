@@ -119,7 +119,8 @@ def _swept(path):
     folder = _Folder(path.parent, _asked())
     folder.finished(SWEPT)
     for index in range(2):
-        folder.write(index, [np.array([1.0, 2.0]), np.array([0.1, 0.2]), np.array([0.0, 0.0])])
+        values = ([1.0, 2.0], [0.1, 0.2], [0.0, 0.0], [1.0, 2.0])
+        folder.write(index, [np.array(value) for value in values])
 
 
 def _read_sweep(path):
