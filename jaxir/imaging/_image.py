@@ -139,12 +139,16 @@ class Image(eqx.Module):
 
 @program
 def _intensity(camera: Camera, radiance: Array, empty: Array) -> Float[Array, " band"]:
-    return jnp.sum((radiance - empty) * camera.pixel_area()[:, :, None], axis=(0, 1))
+    return _over_pixels(camera, radiance - empty)
 
 
 @program
 def _contrast(camera: Camera, radiance: Array, empty: Array) -> Float[Array, " band"]:
-    return jnp.sum(jnp.abs(radiance - empty) * camera.pixel_area()[:, :, None], axis=(0, 1))
+    return _over_pixels(camera, jnp.abs(radiance - empty))
+
+
+def _over_pixels(camera: Camera, radiance: Array) -> Float[Array, " band"]:
+    return jnp.sum(radiance * camera.pixel_area()[:, :, None], axis=(0, 1))
 
 
 @program
@@ -153,7 +157,7 @@ def _by_component(camera: Camera, parts: Array, empty: Array, names: tuple[str, 
     path = own.pop() if names[-1] == AIR else jnp.zeros_like(empty)
     if names[-1 - (names[-1] == AIR)] == BACKGROUND:
         own[-1] = own[-1] + path - empty
-    found = [jnp.sum(part * camera.pixel_area()[:, :, None], axis=(0, 1)) for part in own]
+    found = [_over_pixels(camera, part) for part in own]
     return jnp.stack([*found, *([jnp.zeros_like(found[0])] if names[-1] == AIR else [])])
 
 

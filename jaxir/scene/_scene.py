@@ -147,8 +147,12 @@ class Scene(eqx.Module):
     @program
     def extent(self) -> Float[Array, "corner 3"]:
         """Points whose convex hull holds skin and plumes [corner, 3] [m]: mesh vertices and corners of the plumes."""
+        return self._with_vertices([plume.extent() for plume in self.plumes])
+
+    def _with_vertices(self, corners: list[Array]) -> Float[Array, "corner 3"]:
+        """`extent` with these corners of plumes."""
         skin = [] if self.skin is None else [self.skin.mesh.vertices]
-        return jnp.concatenate([*skin, *(plume.extent() for plume in self.plumes)])
+        return jnp.concatenate([*skin, *corners])
 
     def radius(self, centre: Float[Array, " 3"]) -> Float[Array, ""]:
         """Radius about `centre` of a sphere that holds skin and plumes, plus .1 % [m]; without derivative."""
@@ -170,8 +174,7 @@ class Scene(eqx.Module):
     def start(self, camera: Camera) -> Float[Array, ""]:
         """Height above a camera's target plane at which its rays start, see `clear_of` [m]; without derivative."""
         corners = [plume.extent() for plume in self.plumes]
-        points = jnp.concatenate([*([] if self.skin is None else [self.skin.mesh.vertices]), *corners])
-        return lax.stop_gradient(clear_of(self._outline(WIDTH, corners), points, camera))
+        return lax.stop_gradient(clear_of(self._outline(WIDTH, corners), self._with_vertices(corners), camera))
 
     def checks(self) -> list[Check]:
         """The checks of every part present."""

@@ -31,7 +31,7 @@ from jaxir.scene.plume._grid import GridPlume
 from jaxir.scene.plume._plume import AbstractPlume, Proposal, sample_between
 
 SLABS, LEVELS = 10, 3  # pieces along the axis, and boxes within one another across it
-_SQUARE = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1]])  # its corners
+_SQUARE = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1]])  # corners of a square across the axis, 2 wide
 
 
 class JetPlume(AbstractPlume):
