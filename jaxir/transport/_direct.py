@@ -73,6 +73,13 @@ class Spread(NamedTuple):
     pdf: Callable[[Float[Array, "ray 3"]], Float[Array, " ray"]]
 
 
+class Straight(NamedTuple):
+    """Sources without extent as points ask for them: directions, and distances [m] or 0 where they do not ask."""
+
+    omega: Float[Array, "source ray 3"]
+    reach: Float[Array, "source ray"]
+
+
 class Onward(NamedTuple):
     """The next segment: direction, 1 / density (0 where the path ends), and what it meets (t = 0 where it ends)."""
 
@@ -89,8 +96,9 @@ def sample_direct(
     spread: Spread,
     key: Key[Array, ""],
     go_on: Bool[Array, " ray"] | None,
-) -> tuple[tuple[LightSamples, ...], Onward | None]:
-    """Sample lights from points, and the directions in which their paths go on.
+    straight: Straight | None = None,
+) -> tuple[tuple[LightSamples, ...], Onward | None, Bool[Array, "source ray"] | None]:
+    """Sample lights from points, and the directions in which their paths go on, and see what is hidden.
 
     The first direction drawn from the brdf or phase function is also that of the next segment: one ray finds lights
     and skin.
@@ -103,9 +111,10 @@ def sample_direct(
         spread: how they reflect or scatter.
         key: random key.
         go_on: whether paths go on [ray]; None where no path ever does.
+        straight: of lights without extent; None where none is asked for.
 
     Returns:
-        Samples of each light; the next segments, None where no path goes on.
+        Samples of each light; the next segments, None where no path goes on; which of `straight` is seen, None without.
     """
     count, own = method.counts if lights else (0, 0)
     onward = max(own, 0 if go_on is None else 1)
@@ -146,18 +155,22 @@ def sample_direct(
         limit = limit.at[0].set(jnp.where(go_on & sent[0], jnp.inf, limit[0]))
     order = sorted(range(len(drawn)), key=lambda place: lights[place].needs_face)  # those that ask for less come first
     reach = [jnp.where(good[i], jnp.inf if lights[i].needs_face else drawn[i].distance, 0) for i in order]
+    ahead = () if straight is None else (straight,)
+    beams = sum(len(part.reach) for part in ahead)
     hidden, hit = _first_met(
         scene,
         at,
         hollow,
-        jnp.concatenate([*(drawn[i].omega for i in order), omega]),
-        jnp.concatenate([*(part.astype(limit.dtype) for part in reach), limit]),
-        count * sum(not lights[i].needs_face for i in order),
+        jnp.concatenate([*(part.omega for part in ahead), *(drawn[i].omega for i in order), omega]),
+        jnp.concatenate([*(x.astype(limit.dtype) for x in (*(part.reach for part in ahead), *reach)), limit]),
+        beams + count * sum(not lights[i].needs_face for i in order),
     )
+    sees = None if straight is None else (straight.reach > 0) & ~hidden[:beams]
+    hidden = hidden[beams:]
     shadowed = Met(jnp.full(hidden.shape, -1, jnp.int32), jnp.where(hidden, 0, jnp.inf).astype(omega.dtype))
     every = jax.tree.map(lambda *each: jnp.concatenate(each), shadowed, Met(hit.face, hit.t))
     met = {i: jax.tree.map(lambda leaf, k=k: leaf[k * count : (k + 1) * count], every) for k, i in enumerate(order)}
-    ahead = jax.tree.map(lambda leaf: leaf[leaf.shape[0] - onward :], hit)
+    first_met = jax.tree.map(lambda leaf: leaf[leaf.shape[0] - onward :], hit)
 
     # Weights (9) ------------------------------------------------------------------------------------------------------
     found = []
@@ -169,7 +182,7 @@ def sample_direct(
             seen, distance = light.seen(d, met[place])
             parts.append(_samples(light, d.omega, distance, good[place] & seen, weight, count, d.pdf, d.face))
         if own:
-            first = Met(ahead.face[:own], ahead.t[:own])
+            first = Met(first_met.face[:own], first_met.t[:own])
             meet = jax.vmap(jax.vmap(light.meet), in_axes=(0, None, None, 0))
             distance, pdf = meet(omega[:own], at.point, at.normal, first)
             weight = mis_weight(own, density[:own], count, pdf)
@@ -178,13 +191,13 @@ def sample_direct(
             parts.append(_samples(light, omega[:own], distance, seen, weight, own, density[:own], first.face))
         found.append(jax.tree.map(lambda *each: jnp.concatenate(each), *parts))
     if go_on is None:
-        return tuple(found), None
+        return tuple(found), None, sees
     on = go_on & sent[0]
-    hit = jax.tree.map(lambda leaf: leaf[0], ahead)
+    hit = jax.tree.map(lambda leaf: leaf[0], first_met)
     hit = eqx.tree_at(lambda h: (h.face, h.t), hit, (jnp.where(on, hit.face, -1), jnp.where(on, hit.t, 0)))
     # where paths end any unit vector does, but not one drawn about it: lengths would err twice as much every time
     along = jnp.where(on[:, None], omega[0], at.normal)
-    return tuple(found), Onward(along, jnp.where(on, 1 / jnp.where(on, density[0], 1), 0), hit)
+    return tuple(found), Onward(along, jnp.where(on, 1 / jnp.where(on, density[0], 1), 0), hit), sees
 
 
 def _samples(
@@ -209,7 +222,8 @@ def _first_met(
 ) -> tuple[Bool[Array, "some ray"], Hit]:
     """What directions [sample, ray] meet within a reach: of the first `some` samples whether anything, else the hit."""
     samples, count = reach.shape
-    rays, leaving = from_points(at.point, omega, at.face)
+    origin, leaving = jnp.broadcast_to(at.point[None], omega.shape), jnp.broadcast_to(at.face[None], reach.shape)
+    rays, leaving = Rays(origin.reshape(-1, 3), omega.reshape(-1, 3)), leaving.reshape(-1)
     begin = some * count
     late = jax.tree.map(lambda leaf: leaf[begin:], rays)
 
@@ -226,13 +240,6 @@ def _first_met(
     face, hit = found
     shaped = jax.tree.map(lambda leaf: leaf.reshape(samples - some, count, *leaf.shape[1:]), hit)
     return (face[:begin] >= 0).reshape(some, count), shaped
-
-
-def from_points(point: Array, omega: Array, face: Array | None) -> tuple[Rays, Array | None]:
-    """Rays [sample * ray] in directions [sample, ray, 3] from points [ray, 3], and the faces [ray] that they leave."""
-    origin = jnp.broadcast_to(point[None], omega.shape)
-    leaving = None if face is None else jnp.broadcast_to(face[None], omega.shape[:-1]).reshape(-1)
-    return Rays(origin.reshape(-1, 3), omega.reshape(-1, 3)), leaving
 
 
 def _hollow(scene: Scene, at: Points) -> Bool[Array, ""]:

@@ -23,6 +23,7 @@ from jaxir.scene import Lit, Scene, Skin
 from jaxir.scene.light import AbstractExtendedLight
 from jaxir.transport._method import Method
 from jaxir.transport._paths import LightSamples
+from jaxir.transport._through import Answer, Through
 
 Draw = Callable[[int], Float[Array, "count 2"]]
 
@@ -64,7 +65,9 @@ class SampledLight(abc.ABC):
         """Whether the light is seen in drawn directions, and how far it is, from what they met first."""
 
     @abc.abstractmethod
-    def incident(self, lit: Lit, samples: LightSamples, point: Float[Array, "sample ray 3"]) -> Array:
+    def incident(
+        self, lit: Lit, samples: LightSamples, point: Float[Array, "sample ray 3"], through: Through
+    ) -> Answer:
         """Radiance that arrives at points from samples [sample, ray, node] [W m-2 sr-1]. Differentiable."""
 
 
@@ -88,9 +91,9 @@ class _Source(SampledLight):
     def seen(self, drawn: Drawn, met: Met) -> tuple[Array, Array]:
         return met.t >= drawn.distance, drawn.distance
 
-    def incident(self, lit: Lit, samples: LightSamples, point: Array) -> Array:
-        reach = jnp.where(samples.weight > 0, samples.distance, 0)
-        return self.light.arriving(samples.omega) * lit.transmittance(point, samples.omega, reach)
+    def incident(self, lit: Lit, samples: LightSamples, point: Array, through: Through) -> Answer:
+        passed = through.passed(point, samples.omega, _reach(samples))
+        return lambda: self.light.arriving(samples.omega) * passed()
 
 
 class _Skin(SampledLight):
@@ -138,12 +141,12 @@ class _Skin(SampledLight):
     def seen(self, drawn: Drawn, met: Met) -> tuple[Array, Array]:
         return (met.face == drawn.face) & (drawn.face >= 0), drawn.distance
 
-    def incident(self, lit: Lit, samples: LightSamples, point: Array) -> Array:
+    def incident(self, lit: Lit, samples: LightSamples, point: Array, through: Through) -> Answer:
         assert samples.face is not None
         normal = face_normal(self.skin.mesh, jnp.maximum(samples.face, 0).reshape(-1)).reshape(samples.omega.shape)
         glow = jax.vmap(partial(emitted, lit))(samples.face, jnp.abs(dot(normal, samples.omega)))
-        reach = jnp.where(samples.weight > 0, samples.distance, 0)
-        return glow * lit.transmittance(point, samples.omega, reach)
+        passed = through.passed(point, samples.omega, _reach(samples))
+        return lambda: glow * passed()
 
 
 class _Plume(SampledLight):
@@ -169,8 +172,13 @@ class _Plume(SampledLight):
     def seen(self, drawn: Drawn, met: Met) -> tuple[Array, Array]:
         return jnp.ones(met.t.shape, bool), met.t
 
-    def incident(self, lit: Lit, samples: LightSamples, point: Array) -> Array:
-        return lit.emission(point, samples.omega, jnp.where(samples.weight > 0, samples.distance, 0))
+    def incident(self, lit: Lit, samples: LightSamples, point: Array, through: Through) -> Answer:
+        return through.emitted(point, samples.omega, _reach(samples))
+
+
+def _reach(samples: LightSamples) -> Float[Array, "sample ray"]:
+    """How far samples must be followed [m]."""
+    return jnp.where(samples.weight > 0, samples.distance, 0)
 
 
 def lights_at_skin(scene: Scene, method: Method) -> tuple[SampledLight, ...]:

@@ -14,11 +14,11 @@ from jaxtyping import Array, Key
 
 from jaxir._math import dot, in_kernels
 from jaxir.geometry import Bundle, Hit, Rays, no_hit
-from jaxir.geometry.search import any_hit, closest_hit
+from jaxir.geometry.search import closest_hit
 from jaxir.scene import Scene
 from jaxir.scene.light import AbstractDeltaSource
 from jaxir.scene.plume import AbstractPlume, pdf_direction, sample_direction
-from jaxir.transport._direct import Onward, Points, Spread, from_points, sample_direct
+from jaxir.transport._direct import Onward, Points, Spread, Straight, sample_direct
 from jaxir.transport._lights import lights_at_particles, lights_at_skin
 from jaxir.transport._method import Method
 from jaxir.transport._paths import LightSamples, Paths, Scattering, Segment, Vertex
@@ -38,9 +38,10 @@ class _State(NamedTuple):
 
 
 class _Drawn(NamedTuple):
-    """What the steps of a path are told: a random key, and whether paths may go on at all and from skin."""
+    """What the steps of a path are told: a random key, its first, and whether paths may go on at all and from skin."""
 
     key: Array | None
+    first: Array
     go_on: Array
     bounce: Array
 
@@ -83,7 +84,7 @@ def trace(scene: Scene, rays: Rays | Bundle, method: Method | None = None, key: 
     keys = None
     if key is not None and method.needs_key(scene):
         keys = jax.vmap(jax.random.fold_in, (None, 0))(key, index)
-    drawn = _Drawn(keys, index < count - 1, index < method.bounces)
+    drawn = _Drawn(keys, index == 0, index < count - 1, index < method.bounces)
     if count == 1:
         only = jax.tree.map(lambda leaf: leaf[0], drawn)
         segments = jax.tree.map(lambda leaf: leaf[None], _step(scene, method, state, only)[1])
@@ -100,11 +101,14 @@ def _step(scene: Scene, method: Method, state: _State, drawn: _Drawn) -> tuple[_
 
     # Where it ends on the skin: lights, and the direction of reflection -----------------------------------------------
     lights = lights_at_skin(scene, method)
-    if vertex is not None and (lights or method.bounces):
+    beams = count > 1 and bool(scene.delta_sources)  # single segments are those of the eye
+    if vertex is not None and (lights or method.bounces or beams):
         assert at_skin is not None
         bounce = jnp.broadcast_to(drawn.bounce, state.length.shape) if method.bounces else None
-        found, onward = _look_from_skin(scene, method, vertex, at_skin, bounce)
-        vertex = dataclasses.replace(vertex, lights=found)
+        straight = _straight(scene.delta_sources, vertex.point, vertex.visible & ~drawn.first) if beams else None
+        found, onward, sees = _look_from_skin(scene, method, vertex, at_skin, bounce, straight)
+        visible = vertex.visible if sees is None else jnp.where(drawn.first, vertex.visible, sees)
+        vertex = dataclasses.replace(vertex, lights=found, visible=visible)
 
     # Where a particle scatters it before: lights, and the direction of scattering -------------------------------------
     if method.orders:
@@ -116,10 +120,12 @@ def _step(scene: Scene, method: Method, state: _State, drawn: _Drawn) -> tuple[_
         place = plume.sample_distance(state.rays, reach, u, forced)
         hits = place.inverse_pdf > 0
         point = state.rays.at(place.t)
-        found, from_particle = _look_from_particles(scene, method, state.rays, point, hits, for_lights)
-        scattering = Scattering(
-            place.t, place.inverse_pdf, state.scattered, *_look_for_deltas(scene, method, point, hits), found
-        )
+        sampled = method.sampled_beams(scene)
+        straight = _straight(sampled, point, jnp.broadcast_to(hits, (len(sampled), *hits.shape)))
+        found, from_particle, sees = _look_from_particles(scene, method, state.rays, point, hits, for_lights, straight)
+        assert sees is not None
+        omega, distance = _toward(sampled, point)
+        scattering = Scattering(place.t, place.inverse_pdf, state.scattered, omega, distance, sees, found)
         onward = from_particle if onward is None else _either(hits, from_particle, onward, place.passing)
     here = (state.rays, state.length, vertex, scattering, state.sees_surroundings, state.sees_plume)
     if count == 1:
@@ -147,7 +153,10 @@ def _step(scene: Scene, method: Method, state: _State, drawn: _Drawn) -> tuple[_
 
 
 def _vertex(scene: Scene, method: Method, rays: Rays, hit: Hit, together: bool) -> Vertex:
-    """Where rays meet the skin; `together` where they are those of the eye, whose points are neighbours."""
+    """Where rays meet the skin; `together` where they are those of the eye, whose points are neighbours.
+
+    Of others `visible` tells what they face, until the next step looks whether something is in the way.
+    """
     assert scene.skin is not None
     back = -rays.direction
     side = jnp.where(dot(hit.normal, back) < 0, -1, 1).astype(back.dtype)
@@ -156,13 +165,10 @@ def _vertex(scene: Scene, method: Method, rays: Rays, hit: Hit, together: bool) 
     if method.skin_light is not None:  # whence paths go on, it was looked for
         counts = (hit.face >= 0) & together
     omega, distance = _toward(scene.delta_sources, hit.point)
-    facing = (hit.face >= 0)[None] & (distance > 0) & (dot(normal[None], omega) > 0)
-    if together:
-        mesh, sources = scene.skin.mesh, zip(scene.delta_sources, facing, strict=True)
-        hidden = [source.hidden(mesh, hit.point, hit.face, facing_it) for source, facing_it in sources]
-        visible = facing & ~jnp.stack(hidden) if hidden else facing
-    else:
-        visible = _sees(scene, hit.point, omega, jnp.where(facing, distance, 0), hit.face)
+    visible = (hit.face >= 0)[None] & (distance > 0) & (dot(normal[None], omega) > 0)
+    if together and scene.delta_sources:
+        mesh, each = scene.skin.mesh, zip(scene.delta_sources, visible, strict=True)
+        visible = visible & ~jnp.stack([source.hidden(mesh, hit.point, hit.face, facing) for source, facing in each])
     return Vertex(hit.face, hit.point, normal, back, visible, counts)
 
 
@@ -175,18 +181,15 @@ def _toward(sources: Sequence[AbstractDeltaSource], point: Array) -> tuple[Array
     return omega, distance
 
 
-def _sees(scene: Scene, point: Array, omega: Array, reach: Array, face: Array | None) -> Array:
-    """Whether nothing hides what lies at a reach > 0 [source, ray] in directions from points; all in one search."""
-    seen = reach > 0
-    if scene.skin is None or seen.shape[0] == 0:
-        return seen
-    rays, leaving = from_points(point, omega, face)
-    return seen & ~any_hit(scene.skin.mesh, rays, t_max=reach.reshape(-1), leaving=leaving).reshape(reach.shape)
+def _straight(sources: Sequence[AbstractDeltaSource], point: Array, asked: Array) -> Straight:
+    """Where sources without extent are asked for [source, ray] from points."""
+    omega, distance = _toward(sources, point)
+    return Straight(omega, jnp.where(asked, distance, 0))
 
 
 def _look_from_skin(
-    scene: Scene, method: Method, vertex: Vertex, key: Array, go_on: Array | None
-) -> tuple[tuple[LightSamples, ...], Onward | None]:
+    scene: Scene, method: Method, vertex: Vertex, key: Array, go_on: Array | None, straight: Straight | None
+) -> tuple[tuple[LightSamples, ...], Onward | None, Array | None]:
     """Lights and directions of reflection at points of the skin."""
     assert scene.skin is not None
     brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
@@ -195,12 +198,12 @@ def _look_from_skin(
         lambda w: jax.vmap(lambda b, w, o, n: b.pdf(w, o, n))(brdf, w, vertex.omega_o, vertex.normal),
     )
     at = Points(vertex.point, vertex.normal, vertex.face, vertex.face >= 0, above=True)
-    return sample_direct(scene, method, lights_at_skin(scene, method), at, spread, key, go_on)
+    return sample_direct(scene, method, lights_at_skin(scene, method), at, spread, key, go_on, straight)
 
 
 def _look_from_particles(
-    scene: Scene, method: Method, rays: Rays, point: Array, active: Array, key: Array
-) -> tuple[tuple[LightSamples, ...], Onward | None]:
+    scene: Scene, method: Method, rays: Rays, point: Array, active: Array, key: Array, straight: Straight
+) -> tuple[tuple[LightSamples, ...], Onward | None, Array | None]:
     """Lights and directions of scattering at points of particles."""
     plume = scene.plume
     assert plume is not None
@@ -208,7 +211,7 @@ def _look_from_particles(
     free = jnp.full(active.shape, -1, jnp.int32)
     at = Points(point, rays.direction, free, active, above=False)
     go_on = active if method.orders else None
-    return sample_direct(scene, method, lights_at_particles(scene, method), at, spread, key, go_on)
+    return sample_direct(scene, method, lights_at_particles(scene, method), at, spread, key, go_on, straight)
 
 
 def _scattered_by(scene: Scene, method: Method, plume: AbstractPlume, point: Array, along: Array) -> Spread:
@@ -237,12 +240,6 @@ def _scattered_by(scene: Scene, method: Method, plume: AbstractPlume, point: Arr
         return sum(each[1:], each[0])
 
     return Spread(sample, pdf)
-
-
-def _look_for_deltas(scene: Scene, method: Method, point: Array, active: Array) -> tuple[Array, Array, Array]:
-    """Directions and distances of sources without extent that are not summed, and whether points see them."""
-    omega, distance = _toward(method.sampled_beams(scene), point)
-    return omega, distance, _sees(scene, point, omega, jnp.where(active[None], distance, 0), None)
 
 
 def _either(scattered: Array, by_particle: Onward | None, by_skin: Onward, passing: Array) -> Onward:

@@ -277,7 +277,7 @@ def lacking(lit, rays):
 def to_an_eye(medium, aimed_one, rays):
     """Radiance of rays by what was found once for an eye, with whether that serves; and without."""
     far, dark = jnp.full(rays.count, jnp.inf), jnp.zeros((rays.count, medium.nodes))
-    serves = aimed_one.parts[0].aimed.serves(rays, jnp.ones(rays.count, bool))
+    serves = aimed_one.parts[0].aimed.serves(rays)
     return aimed_one.radiance(rays, far, dark), serves, medium.radiance(rays, far, dark)
 
 

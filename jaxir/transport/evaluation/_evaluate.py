@@ -23,8 +23,16 @@ from jaxtyping import Array, Float
 from jaxir._math import in_kernels
 from jaxir.scene import Lit
 from jaxir.transport._paths import Paths, Segment
+from jaxir.transport._through import Through
 from jaxir.transport.evaluation._scattered import with_scattered
-from jaxir.transport.evaluation._segments import brings, direct_at_particles, event, expected_at_particles, onward
+from jaxir.transport.evaluation._segments import (
+    brings,
+    direct_at_particles,
+    event,
+    expected_at_particles,
+    onward,
+    transmittance,
+)
 
 T = TypeVar("T")
 
@@ -88,7 +96,9 @@ def _along_paths(lit: Lit, paths: Paths) -> Orders:
     method = paths.method
     dark = jnp.zeros((paths.length.shape[0], lit.nodes.count), paths.length.dtype)
     if method.segments() == 1:
-        radiance = brings(lit, paths, paths.first, True, True)
+        through = Through(lit)
+        passed = transmittance(paths, paths.first, through)
+        radiance = brings(lit, paths, paths.first, True, True, passed, through)()
         return Orders(radiance, radiance if method.samples_particles(lit.scene) else dark, dark)
 
     def added(sums: Orders, part: Array, segment: Segment, index: Array, more: int) -> Orders:
@@ -115,14 +125,17 @@ def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment,
 
     def follow(state: tuple[T, Array], own: tuple[Segment, Array]) -> tuple[T, Array]:
         (sums, throughput), (segment, index) = state, own
-        brought = brings(lit, paths, segment, index == 0, index == count - 1)
-        passed, beside = event(lit, segment)
-        sums = added(sums, throughput * brought, segment, index, 0)
-        if segment.scattering is not None:
-            direct = direct_at_particles(lit, method, segment, segment.scattering)
+        at, through = segment.scattering, Through(lit)
+        whole = transmittance(paths, segment, through)
+        brought = brings(lit, paths, segment, index == 0, index == count - 1, whole, through)
+        passed, beside = event(segment, whole, through)
+        straight = None if at is None else direct_at_particles(lit, method, segment, at, through)
+        sums = added(sums, throughput * brought(), segment, index, 0)
+        if at is not None and straight is not None:
+            direct = straight()
             if method.scattering is not None:
-                direct = direct - expected_at_particles(lit, segment, segment.scattering)
-            sums = added(sums, throughput * beside * direct, segment, index, 1)
-        return sums, in_kernels(throughput * onward(lit, segment, passed, beside))
+                direct = direct - expected_at_particles(lit, segment, at)
+            sums = added(sums, throughput * beside() * direct, segment, index, 1)
+        return sums, in_kernels(throughput * onward(lit, segment, passed(), beside()))
 
     return lax.scan(step, (sums, one), (paths.segments, jnp.arange(count, dtype=jnp.int32)))[0][0]

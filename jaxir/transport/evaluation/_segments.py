@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +12,11 @@ from jaxir._fields import by_band, over_nodes
 from jaxir._math import dot
 from jaxir.geometry.search import face_normal
 from jaxir.scene import Lit
+from jaxir.scene.light import AbstractDeltaSource
 from jaxir.transport._lights import SampledLight, emitted, lights_at_particles, lights_at_skin
 from jaxir.transport._method import ClosedForm, Method
 from jaxir.transport._paths import LightSamples, Paths, Scattering, Segment, Vertex
+from jaxir.transport._through import Answer, Through
 from jaxir.transport.ordinates import Scattered
 
 # What a segment brings ------------------------------------------------------------------------------------------------
@@ -23,26 +24,64 @@ from jaxir.transport.ordinates import Scattered
 
 def behind_plumes(lit: Lit, method: Method, segment: Segment, first: Array | bool, last: Array | bool) -> Array:
     """What enters segments at their far ends [ray, node]: what leaves the skin, or what surrounds the scene."""
-    behind = _surroundings(lit, segment, first)
-    if segment.vertex is not None:
-        skin = outgoing_radiance(lit, method, segment.vertex)
+    return _behind(lit, method, segment, first, last, Through(lit))()
+
+
+def _behind(
+    lit: Lit, method: Method, segment: Segment, first: Array | bool, last: Array | bool, through: Through
+) -> Answer:
+    around = _surroundings(lit, segment, first)
+    vertex = segment.vertex
+    if vertex is None:
+        return lambda: around
+    leaving = _outgoing(lit, method, vertex, through)
+
+    def found() -> Array:
+        skin = leaving()
         if method.ambient is not None:
-            skin = skin + jnp.where(last, _of_ambient(lit, method, segment.vertex), 0)
-        behind = jnp.where((segment.vertex.face >= 0)[:, None], skin, behind)
-    return behind
+            skin = skin + jnp.where(last, _of_ambient(lit, method, vertex), 0)
+        return jnp.where((vertex.face >= 0)[:, None], skin, around)
+
+    return found
 
 
-def brings(lit: Lit, paths: Paths, segment: Segment, first: Array | bool, last: Array | bool) -> Array:
-    """A_k: what comes along segments without going on [ray, node]; `first` are those of the eye."""
-    behind = behind_plumes(lit, paths.method, segment, first, last)
-    brought = _through_plumes(lit, segment, behind, paths.route)
-    if paths.method.scattering is not None:
+def brings(
+    lit: Lit,
+    paths: Paths,
+    segment: Segment,
+    first: Array | bool,
+    last: Array | bool,
+    passed: Answer | None,
+    through: Through,
+) -> Answer:
+    """A_k: what comes along segments without going on [ray, node]; `first` are those of the eye.
+
+    `passed` is their `transmittance`.
+    """
+    behind = _behind(lit, paths.method, segment, first, last, through)
+    rays, medium = segment.rays, lit.medium
+    if medium is None:
+        return behind
+    own = None
+    if _apart(paths):
+        seen = segment.length if segment.sees_plume is None else jnp.where(segment.sees_plume, segment.length, 0)
+        own = through.emitted(rays.origin, rays.direction, seen)
+
+    def found() -> Array:
+        if own is None:
+            brought = medium.radiance(rays, segment.length, behind(), paths.route)
+        else:
+            assert passed is not None
+            brought = own() + passed() * behind()
+        if paths.method.scattering is not None:
+            return brought
+        for source, irradiance in zip(lit.scene.summed_beams, lit.beams, strict=True):
+            assert source.travel is not None
+            cosine = dot(rays.direction, -source.travel[None])
+            brought = brought + medium.in_scattered(irradiance, cosine, rays, segment.length)
         return brought
-    for source, irradiance in zip(lit.scene.summed_beams, lit.beams, strict=True):
-        assert lit.medium is not None and source.travel is not None
-        cosine = dot(segment.rays.direction, -source.travel[None])
-        brought = brought + lit.medium.in_scattered(irradiance, cosine, segment.rays, segment.length)
-    return brought
+
+    return found
 
 
 def _surroundings(lit: Lit, segment: Segment, first: Array | bool) -> Array:
@@ -57,30 +96,35 @@ def _surroundings(lit: Lit, segment: Segment, first: Array | bool) -> Array:
     return jnp.where(leaves[:, None], around, 0)
 
 
-def _through_plumes(lit: Lit, segment: Segment, behind: Array, route: Any) -> Array:
-    """`behind` through the plumes, with their emission unless it was found as that of a light."""
-    if lit.medium is None:
-        return behind
-    if segment.sees_plume is None:
-        return lit.medium.radiance(segment.rays, segment.length, behind, route)
-    reach = jnp.where(segment.sees_plume, segment.length, 0)
-    own = lit.emission(segment.rays.origin, segment.rays.direction, reach)
-    return own + lit.medium.transmittance(segment.rays, segment.length) * behind
+def _apart(paths: Paths) -> bool:
+    """Whether the emission of plumes is found apart from what passes through them: where it is that of a light, too."""
+    return paths.method.plume_light is not None and paths.route is None
 
 
 # How paths go on ------------------------------------------------------------------------------------------------------
 
 
-def event(lit: Lit, segment: Segment) -> tuple[Array | float, Array | float]:
+def transmittance(paths: Paths, segment: Segment, through: Through) -> Answer | None:
+    """Transmittance of segments [ray, node]: where paths go on from their ends or, if `brings` needs it, of all."""
+    reach = segment.length
+    if not _apart(paths):
+        if segment.scattering is not None or segment.inverse_pdf is None:
+            return None
+        reach = jnp.where(segment.inverse_pdf > 0, reach, 0)
+    return through.passed(segment.rays.origin, segment.rays.direction, reach)
+
+
+def event(segment: Segment, passed: Answer | None, through: Through) -> tuple[Answer, Answer]:
     """Transmittance to where paths go on, and that over the density of the distance where particles scatter them."""
     assert segment.inverse_pdf is not None
-    reach = jnp.where(segment.inverse_pdf > 0, segment.length, 0)
-    if segment.scattering is None:
-        return lit.transmittance(segment.rays.origin, segment.rays.direction, reach), 0.0
-    scattered = segment.scattering.inverse_pdf > 0
-    reach = jnp.where(scattered, segment.scattering.t, reach)
-    passed = lit.transmittance(segment.rays.origin, segment.rays.direction, reach)
-    return passed, jnp.where(scattered[:, None], passed * segment.scattering.inverse_pdf[:, None], 0)
+    scattering = segment.scattering
+    if scattering is None:
+        assert passed is not None
+        return passed, lambda: 0.0
+    scattered = scattering.inverse_pdf > 0
+    reach = jnp.where(scattered, scattering.t, jnp.where(segment.inverse_pdf > 0, segment.length, 0))
+    there = through.passed(segment.rays.origin, segment.rays.direction, reach)
+    return there, lambda: jnp.where(scattered[:, None], there() * scattering.inverse_pdf[:, None], 0)
 
 
 def onward(lit: Lit, segment: Segment, passed: Array | float, event: Array | float) -> Array:
@@ -101,22 +145,28 @@ def onward(lit: Lit, segment: Segment, passed: Array | float, event: Array | flo
     return onward
 
 
-def direct_at_particles(lit: Lit, method: Method, segment: Segment, at: Scattering) -> Array:
+def direct_at_particles(lit: Lit, method: Method, segment: Segment, at: Scattering, through: Through) -> Answer:
     """Light straight from the lights, scattered towards the segment's begin [ray, node] [W m-3 sr-1]."""
     assert lit.medium is not None
     medium, point, along = lit.medium, segment.rays.at(at.t), segment.rays.direction
-    total = jnp.zeros((point.shape[0], lit.nodes.count), point.dtype)
-    for place, source in enumerate(method.sampled_beams(lit.scene)):
-        beam = jnp.where(at.visible[place][:, None], jax.vmap(source.beam)(point), 0)
-        passed = lit.transmittance(point, at.omega[place], jnp.where(at.visible[place], at.distance[place], 0))
-        total = total + medium.scattering(point, dot(at.omega[place], along)) * beam * passed
 
     def spread(omega: Array, weight: Array) -> Array:
         return medium.scattering(point, dot(omega, along)) * weight[:, None]
 
-    for light, samples in zip(lights_at_particles(lit.scene, method), at.lights, strict=True):
-        total = total + _found(lit, light, samples, point, spread)
-    return total
+    beams = method.sampled_beams(lit.scene)
+    straight = [_straight(*each, point, through) for each in zip(beams, at.omega, at.distance, at.visible, strict=True)]
+    lights = zip(lights_at_particles(lit.scene, method), at.lights, strict=True)
+    sampled = [_found(lit, light, samples, point, spread, through) for light, samples in lights]
+
+    def found() -> Array:
+        total = jnp.zeros((point.shape[0], lit.nodes.count), point.dtype)
+        for omega, arriving in zip(at.omega, straight, strict=True):
+            total = total + medium.scattering(point, dot(omega, along)) * arriving()
+        for light in sampled:
+            total = total + light()
+        return total
+
+    return found
 
 
 def expected_at_particles(lit: Lit, segment: Segment, at: Scattering) -> Array:
@@ -130,30 +180,46 @@ def expected_at_particles(lit: Lit, segment: Segment, at: Scattering) -> Array:
 # What leaves the skin -------------------------------------------------------------------------------------------------
 
 
-def outgoing_radiance(lit: Lit, method: Method, vertex: Vertex) -> Float[Array, "ray node"]:
+def _outgoing(lit: Lit, method: Method, vertex: Vertex, through: Through) -> Answer:
     """Own emission plus reflected light that comes straight from lights, equation (3) [ray, node].
 
         L = emissivity(theta_o) B(T) + sum_s brdf(omega_s, omega_o) cos(theta_s) E_s + sampled lights
 
     The first term is left out where it was found as a light already.
     """
-    radiance = emitted(lit, vertex.face, dot(vertex.normal, vertex.omega_o))
-    if vertex.counts_emission is not None:
-        radiance = jnp.where(vertex.counts_emission[:, None], radiance, 0)
-    for source, sees in zip(lit.scene.delta_sources, vertex.visible, strict=True):
-        omega_i, distance = jax.vmap(source.toward)(vertex.point)
-        beam = jnp.where(sees[:, None], jax.vmap(source.beam)(vertex.point), 0)
-        passed = lit.transmittance(vertex.point, omega_i, jnp.where(sees, distance, 0))
-        radiance = radiance + reflected(lit, vertex, omega_i, jnp.ones_like(distance)) * beam * passed
-    if isinstance(method.direct, ClosedForm):
-        return radiance + _closed_form(lit, vertex)
 
     def spread(omega: Array, weight: Array) -> Array:
         return reflected(lit, vertex, omega, weight)
 
-    for light, samples in zip(lights_at_skin(lit.scene, method), vertex.lights, strict=True):
-        radiance = radiance + _found(lit, light, samples, vertex.point, spread)
-    return radiance
+    toward = [jax.vmap(source.toward)(vertex.point) for source in lit.scene.delta_sources]
+    each = zip(lit.scene.delta_sources, toward, vertex.visible, strict=True)
+    straight = [_straight(source, *where, sees, vertex.point, through) for source, where, sees in each]
+    sampled = []
+    if not isinstance(method.direct, ClosedForm):
+        lights = zip(lights_at_skin(lit.scene, method), vertex.lights, strict=True)
+        sampled = [_found(lit, light, samples, vertex.point, spread, through) for light, samples in lights]
+
+    def found() -> Array:
+        radiance = emitted(lit, vertex.face, dot(vertex.normal, vertex.omega_o))
+        if vertex.counts_emission is not None:
+            radiance = jnp.where(vertex.counts_emission[:, None], radiance, 0)
+        for (omega, distance), arriving in zip(toward, straight, strict=True):
+            radiance = radiance + spread(omega, jnp.ones_like(distance)) * arriving()
+        if isinstance(method.direct, ClosedForm):
+            return radiance + _closed_form(lit, vertex)
+        for light in sampled:
+            radiance = radiance + light()
+        return radiance
+
+    return found
+
+
+def _straight(
+    source: AbstractDeltaSource, omega: Array, distance: Array, visible: Array, point: Array, through: Through
+) -> Answer:
+    """Irradiance across the light of a source without extent at points [ray, node] [W m-2]."""
+    passed = through.passed(point, omega, jnp.where(visible, distance, 0))
+    return lambda: jnp.where(visible[:, None], jax.vmap(source.beam)(point), 0) * passed()
 
 
 def _found(
@@ -162,11 +228,12 @@ def _found(
     samples: LightSamples,
     point: Array,
     spread: Callable[[Array, Array], Array],
-) -> Array:
+    through: Through,
+) -> Answer:
     """Light of one source sent on from points [ray, node]; `spread` of directions and weights is how they send it."""
     everywhere = jnp.broadcast_to(point[None], samples.omega.shape)
-    incident = light.incident(lit, samples, everywhere)
-    return jnp.sum(jax.vmap(spread)(samples.omega, samples.weight) * incident, axis=0)
+    incident = light.incident(lit, samples, everywhere, through)
+    return lambda: jnp.sum(jax.vmap(spread)(samples.omega, samples.weight) * incident(), axis=0)
 
 
 def reflected(lit: Lit, vertex: Vertex, omega_i: Float[Array, "ray 3"], weight: Float[Array, " ray"]) -> Array:
@@ -221,4 +288,5 @@ def unoccluded_radiance(lit: Lit, toward: Float[Array, " 3"]) -> Float[Array, "f
     normal = face_normal(mesh, face)
     visible = jnp.ones((len(lit.scene.delta_sources), mesh.count), bool)
     centre, back = jnp.mean(mesh.corners(), axis=1), jnp.broadcast_to(toward, normal.shape)
-    return outgoing_radiance(lit, Method(direct=ClosedForm()), Vertex(face, centre, normal, back, visible, None))
+    vertex = Vertex(face, centre, normal, back, visible, None)
+    return _outgoing(lit, Method(direct=ClosedForm()), vertex, Through(lit))()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -67,9 +67,7 @@ class Scattered(AbstractMedium):
     ) -> Float[Array, "ray node"]:
         """See `AbstractMedium.radiance`, of emission and scattered light."""
         cuts = self._pieces(rays, t_max)
-        meets = cuts[:, 0] < cuts[:, -1]
-        served = [part.aimed is not None and part.aimed.serves(rays, meets) for part in self.parts]
-        return self._between(cuts, rays, behind, served)
+        return self._between(cuts, rays, behind)
 
     def aimed_at(self, eye: Eye) -> Scattered:
         """The same, ready for many rays that meet in an eye."""
@@ -88,26 +86,26 @@ class Scattered(AbstractMedium):
         return jnp.sort(jnp.concatenate([cuts, jax.vmap(jnp.interp)(at, depth, cuts)], axis=1), axis=1)
 
     def _between(
-        self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array, served: Sequence[Array | bool | None]
+        self, cuts: Float[Array, "ray cut"], rays: Rays, behind: Array, alone: int | None = None
     ) -> Float[Array, "ray node"]:
-        """Radiance between cuts [ray, node].
-
-        `served` tells of each part whether it is aimed at where rays meet; None leaves out what it scatters.
-        """
+        """Radiance between cuts [ray, node]; with what one part `alone` scatters, of rays of the eye it is aimed at."""
 
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
             point = rays.at(t)
             extinction, source = self.medium.coefficients(point)
-            for part, meet in zip(self.parts, served, strict=True):
-                if meet is not None:
-                    source = source + of_part(part, meet, point, rays.direction)
+            for place, part in enumerate(self.parts):
+                if alone is None or place == alone:
+                    source = source + of_part(part, rays, point)
             return extinction, source
 
-        def of_part(part: Part, meet: Array | bool, point: Array, direction: Array) -> Array:
+        def of_part(part: Part, rays: Rays, point: Array) -> Array:
             near = self._near(part, point)
-            if isinstance(meet, bool):
-                return part.sent(near) if meet else part.source(near, point, direction)
-            return lax.cond(meet, lambda: part.sent(near), lambda: part.source(near, point, direction))
+            if part.aimed is None:
+                return part.source(near, point, rays.direction)
+            if alone is not None:
+                return part.sent(near)
+            served = part.aimed.serves(rays)  # of the rays that are carried together: those of the eye are neighbours
+            return lax.cond(served, lambda: part.sent(near), lambda: part.source(near, point, rays.direction))
 
         return radiance_between(cuts, rays, behind, coefficients)
 
@@ -136,7 +134,6 @@ class Scattered(AbstractMedium):
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
         ready = self if self.parts[0].aimed is not None else self.aimed_at(eye)
         part = ready.parts[place]
-        alone = [True if k == place else None for k in range(len(self.parts))]
 
         def told(point: Array) -> tuple[Array, list[Array]]:
             extinction, emission = self.medium.coefficients(point)
@@ -146,11 +143,11 @@ class Scattered(AbstractMedium):
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
         if self.parts[0].doubt is None:
-            whole = ready._between(halved, rays, dark, alone)
+            whole = ready._between(halved, rays, dark, place)
             found = Told(whole, whole, dark, dark)
         else:
             found = Told(*summed(halved, rays, told))
-        return *found, SLOW * jnp.abs(found.whole - ready._between(cuts, rays, dark, alone))
+        return *found, SLOW * jnp.abs(found.whole - ready._between(cuts, rays, dark, place))
 
     def expected(
         self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"], omega: Float[Array, "ray 3"]

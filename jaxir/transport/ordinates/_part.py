@@ -127,10 +127,10 @@ class Aimed(NamedTuple):
     lobes: tuple[Float[Array, "read node"], ...]
     halos: tuple[Float[Array, "read node"], ...]
 
-    def serves(self, rays: Rays, asked: Bool[Array, " ray"]) -> Bool[Array, ""]:
-        """Whether all rays that are asked for meet in the eye."""
+    def serves(self, rays: Rays) -> Bool[Array, ""]:
+        """Whether all rays meet in the eye."""
         apart = rays.direction + self.eye.toward(rays.origin)
-        return self.narrow & jnp.all((dot(apart, apart) < ALIKE**2) | ~asked)
+        return self.narrow & jnp.all(dot(apart, apart) < ALIKE**2)
 
 
 class Told(NamedTuple):
