@@ -204,10 +204,8 @@ class Sobol(AbstractSampler):
         """See `AbstractSampler.draw`."""
         seed = jax.random.bits(key, (3,), jnp.uint32)
         index = _owen(jnp.arange(count, dtype=jnp.uint32), seed[0])  # an aligned block of the sequence, in any order
-        second = jnp.zeros_like(index)
-        for bit, direction in enumerate(_second_sobol()):
-            second = second ^ jnp.where((index >> bit) & 1 == 1, jnp.uint32(direction), jnp.uint32(0))
-        points = jnp.stack([_unit(_owen(_reverse(index), seed[1])), _unit(_owen(second, seed[2]))], axis=-1)
+        first = _reverse(index)
+        points = jnp.stack([_unit(_owen(first, seed[1])), _unit(_owen(_second_sobol(first), seed[2]))], axis=-1)
         return lax.optimization_barrier(points)  # or XLA computes them anew for every use
 
 
@@ -262,9 +260,11 @@ def _owen(bits: UInt32[Array, " count"], seed: UInt32[Array, ""]) -> UInt32[Arra
     return _reverse(bits ^ (bits * jnp.uint32(0x53A22864)))
 
 
-def _second_sobol() -> list[int]:
-    """Direction numbers of Sobol's second dimension, polynomial x + 1: v_{k+1} = v_k ^ (v_k >> 1)."""
-    numbers = [1 << 31]
-    while len(numbers) < 32:
-        numbers.append(numbers[-1] ^ (numbers[-1] >> 1))
-    return numbers
+def _second_sobol(first: UInt32[Array, " count"]) -> UInt32[Array, " count"]:
+    """Sobol's second dimension, polynomial x + 1, from the first, which is the index with its bits reversed.
+
+    Its direction numbers v_(k+1) = v_k ^ (v_k >> 1) are Pascal's triangle modulo 2, whose halves are alike.
+    """
+    for shift, mask in ((16, 0x0000FFFF), (8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+        first = first ^ ((first & jnp.uint32(mask)) << shift)
+    return first

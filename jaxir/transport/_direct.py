@@ -94,7 +94,7 @@ def sample_direct(
     lights: tuple[SampledLight, ...],
     at: Points,
     spread: Spread,
-    key: Key[Array, ""],
+    key: Key[Array, ""] | None,
     go_on: Bool[Array, " ray"] | None,
     straight: Straight | None = None,
 ) -> tuple[tuple[LightSamples, ...], Onward | None, Bool[Array, "source ray"] | None]:
@@ -109,7 +109,7 @@ def sample_direct(
         lights: of `lights_at_skin` or `lights_at_particles`.
         at: the points.
         spread: how they reflect or scatter.
-        key: random key.
+        key: random key; None where nothing is drawn.
         go_on: whether paths go on [ray]; None where no path ever does.
         straight: of lights without extent; None where none is asked for.
 
@@ -119,7 +119,9 @@ def sample_direct(
     count, own = method.counts if lights else (0, 0)
     onward = max(own, 0 if go_on is None else 1)
     rays = at.point.shape[0]
-    keys = jax.vmap(lambda k: jax.random.split(k, 1 + len(lights)))(jax.random.split(key, rays))  # [ray, decision]
+    keys = None  # [ray, decision]
+    if key is not None:
+        keys = jax.vmap(lambda k: jax.random.split(k, 1 + len(lights)))(jax.random.split(key, rays))
 
     def upward(omega: Array, pdf: Array) -> Array:
         good = at.active[None] & (pdf > 0)
@@ -128,7 +130,7 @@ def sample_direct(
     # Directions of the brdf or the phase function ---------------------------------------------------------------------
     u = (
         jax.vmap(lambda k: method.sampler.draw(k, onward), out_axes=1)(keys[:, 0])
-        if onward
+        if onward and keys is not None
         else jnp.zeros((0, rays, 2))
     )
     u = u.astype(at.point.dtype)
@@ -138,6 +140,8 @@ def sample_direct(
 
     # Directions towards the lights ------------------------------------------------------------------------------------
     def drawn_from(place: int, light: SampledLight) -> Drawn:
+        assert keys is not None
+
         def one(key: Array, point: Array, normal: Array) -> Drawn:
             return light.sample(lambda k: method.sampler.draw(jax.random.fold_in(key, k), count), point, normal)
 

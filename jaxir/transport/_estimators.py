@@ -33,6 +33,7 @@ from jaxir.medium import CellMedium, crossing_sum
 from jaxir.optics import SERIES_BELOW, across_layer, phi1, phi2
 from jaxir.scene import Lit
 from jaxir.transport._paths import Paths
+from jaxir.transport._through import Through
 from jaxir.transport.evaluation import behind_plumes
 
 
@@ -292,7 +293,7 @@ def estimate(lit: Lit, paths: Paths, estimator: AbstractPathEstimator, key: Key[
             f"estimate: got {type(medium).__name__} and {paths.method.segments()} segments a path, expected one "
             "gridded plume without particles, and no bounces"
         )
-    behind = behind_plumes(lit, paths.method, paths.first, True, True)
+    behind = behind_plumes(lit, paths.method, paths.first, True, True, Through(lit))()
     cells = (-1, lit.nodes.count)
     extinction, emission = medium.extinction.reshape(cells), medium.emission.reshape(cells)
 

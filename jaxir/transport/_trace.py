@@ -38,10 +38,13 @@ class _State(NamedTuple):
 
 
 class _Drawn(NamedTuple):
-    """What the steps of a path are told: a random key, its first, and whether paths may go on at all and from skin."""
+    """What the steps of a path are told: a random key, and whether paths may go on at all and from skin.
+
+    And `seen`, whether it is known what points see of sources without extent.
+    """
 
     key: Array | None
-    first: Array
+    seen: Array
     go_on: Array
     bounce: Array
 
@@ -70,11 +73,13 @@ def trace(scene: Scene, rays: Rays | Bundle, method: Method | None = None, key: 
     if key is None and method.needs_key(scene):
         raise ValueError("trace: got no key, expected one: lights with an extent, bounces and particles are sampled")
 
-    # The first segments end at the eye, and their rays are searched together ------------------------------------------
+    # The first segments end at the eye; a bundle is searched together, for its faces and for their shadows ------------
+    together = isinstance(rays, Bundle)
     single = rays.rays() if isinstance(rays, Bundle) else rays
     hit = no_hit(single.origin) if scene.skin is None else closest_hit(scene.skin.mesh, rays)
-    vertex = None if scene.skin is None else _vertex(scene, method, single, hit, together=True)
+    vertex = None if scene.skin is None else _vertex(scene, method, single, hit, True, together)
     count = method.segments()
+    looks = bool(scene.delta_sources) and (count > 1 or not together)
     everywhere = jnp.ones(hit.t.shape, bool) if count > 1 else None
     seen = everywhere if method.plume_light is not None and count > 1 else None
     state = _State(single, hit.t, vertex, everywhere, seen, jnp.zeros(hit.t.shape, jnp.int32))
@@ -84,30 +89,28 @@ def trace(scene: Scene, rays: Rays | Bundle, method: Method | None = None, key: 
     keys = None
     if key is not None and method.needs_key(scene):
         keys = jax.vmap(jax.random.fold_in, (None, 0))(key, index)
-    drawn = _Drawn(keys, index == 0, index < count - 1, index < method.bounces)
+    drawn = _Drawn(keys, (index == 0) & together, index < count - 1, index < method.bounces)
     if count == 1:
         only = jax.tree.map(lambda leaf: leaf[0], drawn)
-        segments = jax.tree.map(lambda leaf: leaf[None], _step(scene, method, state, only)[1])
+        segments = jax.tree.map(lambda leaf: leaf[None], _step(scene, method, looks, state, only)[1])
     else:
-        segments = lax.scan(lambda state, own: _step(scene, method, state, own), state, drawn)[1]
+        segments = lax.scan(lambda state, own: _step(scene, method, looks, state, own), state, drawn)[1]
     return Paths(segments, dataclasses.replace(method, ambient=ambient))
 
 
-def _step(scene: Scene, method: Method, state: _State, drawn: _Drawn) -> tuple[_State, Segment]:
-    """What happens on one segment of each path, and the next one."""
+def _step(scene: Scene, method: Method, looks: bool, state: _State, drawn: _Drawn) -> tuple[_State, Segment]:
+    """What happens on one segment of each path, and the next one; `looks` for sources without extent."""
     count, plume = method.segments(), scene.plume
     vertex, scattering, onward = state.vertex, None, None
     at_skin, at_particle = (None, None) if drawn.key is None else jax.random.split(drawn.key)
 
     # Where it ends on the skin: lights, and the direction of reflection -----------------------------------------------
     lights = lights_at_skin(scene, method)
-    beams = count > 1 and bool(scene.delta_sources)  # single segments are those of the eye
-    if vertex is not None and (lights or method.bounces or beams):
-        assert at_skin is not None
+    if vertex is not None and (lights or method.bounces or looks):
         bounce = jnp.broadcast_to(drawn.bounce, state.length.shape) if method.bounces else None
-        straight = _straight(scene.delta_sources, vertex.point, vertex.visible & ~drawn.first) if beams else None
+        straight = _straight(scene.delta_sources, vertex.point, vertex.visible & ~drawn.seen) if looks else None
         found, onward, sees = _look_from_skin(scene, method, vertex, at_skin, bounce, straight)
-        visible = vertex.visible if sees is None else jnp.where(drawn.first, vertex.visible, sees)
+        visible = vertex.visible if sees is None else jnp.where(drawn.seen, vertex.visible, sees)
         vertex = dataclasses.replace(vertex, lights=found, visible=visible)
 
     # Where a particle scatters it before: lights, and the direction of scattering -------------------------------------
@@ -140,7 +143,7 @@ def _step(scene: Scene, method: Method, state: _State, drawn: _Drawn) -> tuple[_
     rays = Rays(begin, in_kernels(onward.omega))
     landed = None
     if state.vertex is not None:
-        landed = _vertex(scene, method, rays, onward.hit, together=False)
+        landed = _vertex(scene, method, rays, onward.hit, False, False)
     following = _State(
         rays,
         onward.hit.t,
@@ -152,8 +155,8 @@ def _step(scene: Scene, method: Method, state: _State, drawn: _Drawn) -> tuple[_
     return following, Segment(*here, onward.omega, onward.inverse_pdf)
 
 
-def _vertex(scene: Scene, method: Method, rays: Rays, hit: Hit, together: bool) -> Vertex:
-    """Where rays meet the skin; `together` where they are those of the eye, whose points are neighbours.
+def _vertex(scene: Scene, method: Method, rays: Rays, hit: Hit, first: bool, together: bool) -> Vertex:
+    """Where rays meet the skin, the `first` ones or others; `together` where their points are neighbours.
 
     Of others `visible` tells what they face, until the next step looks whether something is in the way.
     """
@@ -163,7 +166,7 @@ def _vertex(scene: Scene, method: Method, rays: Rays, hit: Hit, together: bool) 
     normal = jnp.where((hit.face >= 0)[:, None], side[:, None] * hit.normal, back)
     counts = None
     if method.skin_light is not None:  # whence paths go on, it was looked for
-        counts = (hit.face >= 0) & together
+        counts = (hit.face >= 0) & first
     omega, distance = _toward(scene.delta_sources, hit.point)
     visible = (hit.face >= 0)[None] & (distance > 0) & (dot(normal[None], omega) > 0)
     if together and scene.delta_sources:
@@ -188,7 +191,7 @@ def _straight(sources: Sequence[AbstractDeltaSource], point: Array, asked: Array
 
 
 def _look_from_skin(
-    scene: Scene, method: Method, vertex: Vertex, key: Array, go_on: Array | None, straight: Straight | None
+    scene: Scene, method: Method, vertex: Vertex, key: Array | None, go_on: Array | None, straight: Straight | None
 ) -> tuple[tuple[LightSamples, ...], Onward | None, Array | None]:
     """Lights and directions of reflection at points of the skin."""
     assert scene.skin is not None

@@ -20,6 +20,7 @@ from jaxir.medium import AbstractMedium
 from jaxir.scene import Lit
 from jaxir.transport._method import DiscreteOrdinates, Method
 from jaxir.transport._paths import Paths
+from jaxir.transport._through import Answer, Through
 from jaxir.transport.evaluation._segments import behind_plumes
 from jaxir.transport.ordinates import Posed, Scattered, Solution, finished, posed, solution
 
@@ -95,9 +96,10 @@ def _posed(lit: Lit, method: Method) -> Posed:
     assert method.scattering is not None
     alone = dataclasses.replace(method, orders=0, scattering=dataclasses.replace(method.scattering, orders=0))
 
-    def behind(lit: Lit, paths: Paths) -> Array:
+    def behind(lit: Lit, paths: Paths, through: Through) -> Answer:
         around = jnp.ones(paths.length.shape, bool) if paths.first.sees_surroundings is None else None
-        return behind_plumes(lit, alone, dataclasses.replace(paths.first, sees_surroundings=around), False, True)
+        first = dataclasses.replace(paths.first, sees_surroundings=around)
+        return behind_plumes(lit, alone, first, False, True, through)
 
     return posed(lit, alone, behind)
 

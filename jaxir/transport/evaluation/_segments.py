@@ -22,14 +22,10 @@ from jaxir.transport.ordinates import Scattered
 # What a segment brings ------------------------------------------------------------------------------------------------
 
 
-def behind_plumes(lit: Lit, method: Method, segment: Segment, first: Array | bool, last: Array | bool) -> Array:
-    """What enters segments at their far ends [ray, node]: what leaves the skin, or what surrounds the scene."""
-    return _behind(lit, method, segment, first, last, Through(lit))()
-
-
-def _behind(
+def behind_plumes(
     lit: Lit, method: Method, segment: Segment, first: Array | bool, last: Array | bool, through: Through
 ) -> Answer:
+    """What enters segments at their far ends [ray, node]: what leaves the skin, or what surrounds the scene."""
     around = _surroundings(lit, segment, first)
     vertex = segment.vertex
     if vertex is None:
@@ -58,7 +54,7 @@ def brings(
 
     `passed` is their `transmittance`.
     """
-    behind = _behind(lit, paths.method, segment, first, last, through)
+    behind = behind_plumes(lit, paths.method, segment, first, last, through)
     rays, medium = segment.rays, lit.medium
     if medium is None:
         return behind

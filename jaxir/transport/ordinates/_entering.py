@@ -19,6 +19,7 @@ from jaxir.transport._direct import mis_weight
 from jaxir.transport._lights import Drawn, Met, SampledLight, emitted, lights_at_particles
 from jaxir.transport._method import DirectSampling, Method, SkinLight
 from jaxir.transport._paths import Paths
+from jaxir.transport._through import Answer, Through
 from jaxir.transport._trace import trace
 
 SAMPLES = 128  # directions from a point of the lattice, and again as many to places on the skin
@@ -59,7 +60,7 @@ def entering(
     point: Float[Array, "point 3"],
     order: int,
     level: Level,
-    behind: Callable[[Lit, Paths], Array],
+    behind: Callable[[Lit, Paths, Through], Answer],
 ) -> Float[Array, "point harmonic node"]:
     """Coefficients of the light that arrives from skin, over the `level` that is there without it.
 
@@ -81,9 +82,10 @@ def entering(
         drawn, key = own
         paths = trace(scene, Rays(begin, drawn.omega), method, key)
         weight = _weight(lamp, drawn, begin, Met(paths.face, paths.length))
-        over = behind(lit, paths) - level.toward(lit, drawn.omega)
-        passed = lit.transmittance(point, drawn.omega, jnp.where(weight > 0, paths.length, 0))
-        came = over * passed * weight[:, None]
+        through = Through(lit)
+        passed = through.passed(point, drawn.omega, jnp.where(weight > 0, paths.length, 0))
+        reached = behind(lit, paths, through)
+        came = (reached() - level.toward(lit, drawn.omega)) * passed() * weight[:, None]
         return total + harmonics(-drawn.omega, order)[:, :, None] * came[:, None], None
 
     return lax.scan(jax.checkpoint(add), none, (drawn, jax.random.split(jax.random.key(1), 2 * SAMPLES)))[0]

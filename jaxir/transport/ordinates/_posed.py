@@ -56,6 +56,7 @@ from jaxir.medium import (
 from jaxir.scene import Lit
 from jaxir.transport._method import DiscreteOrdinates, Method
 from jaxir.transport._paths import Paths
+from jaxir.transport._through import Answer, Through
 from jaxir.transport.ordinates._entering import entering, length_of, level_of
 from jaxir.transport.ordinates._lattice import FINER, Between, Lattice, about, beside, lattice_of, places
 from jaxir.transport.ordinates._part import Beam
@@ -129,13 +130,13 @@ class Posed(NamedTuple):
     scale: Array
 
 
-def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths], Array]) -> Posed:
+def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths, Through], Answer]) -> Posed:
     """The equations of the light in the plumes of a scene.
 
     Args:
         lit: the scene on the nodes.
         method: how finely, and how light is found that skin sends into the plumes.
-        behind: what enters paths of one segment at their far ends [ray, node].
+        behind: what enters paths of one segment at their far ends [ray, node], see `behind_plumes`.
 
     Raises:
         ValueError: more numbers than `MOST` would be kept.
