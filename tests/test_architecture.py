@@ -15,6 +15,7 @@ from jaxir.optics import surface
 from jaxir.optics.spectrum import gray_nodes
 from jaxir.scene import light, plume
 from jaxir.scene.light import ParallelSource
+from jaxir.transport import _direct as direct_module
 from jaxir.transport import evaluate, trace
 from tests import random_scenes
 from tests.scenes import gray_box, plate
@@ -173,13 +174,19 @@ def test_no_product_of_arrays_is_asked_of_jax_itself():
             assert not re.search(r"jnp\.(matmul|einsum|tensordot|dot|inner|vdot|vecdot)\b", path.read_text()), path
 
 
-def test_shadow_rays_are_traced_for_sources_only(monkeypatch):
-    asked = []
+@pytest.mark.parametrize("bundled", [True, False])
+def test_shadow_rays_are_traced_for_sources_only(monkeypatch, bundled):
+    """Of a bundle in its own search, of unrelated rays in that of all that is asked from their points."""
+    asked, found = [], direct_module.face_met
     monkeypatch.setattr(ParallelSource, "hidden", lambda self, mesh, point, face, active: asked.append(1) or face > 99)
-    trace(jaxir.Scene(plate()), _rays())
+    monkeypatch.setattr(direct_module, "face_met", lambda *args: asked.append(0) or found(*args))
+    sun = jaxir.ParallelSource((-1.0, 0.0, 0.0), 1.0)
+    camera = jaxir.orthographic_camera(0.0, 4.0, 0.07, (17, 19))
+    rays = camera.bundle(jnp.zeros((4, 2)), jnp.asarray(-5.0)) if bundled else _rays()
+    trace(jaxir.Scene(plate()), rays)
     assert not asked
-    trace(jaxir.Scene(plate(), sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 1.0),)), _rays())
-    assert asked
+    trace(jaxir.Scene(plate(), sources=(sun,)), rays)
+    assert asked == [int(bundled)]
 
 
 def test_new_values_never_compile_again(monkeypatch):
