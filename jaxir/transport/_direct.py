@@ -96,8 +96,8 @@ def sample_direct(
     spread: Spread,
     key: Key[Array, ""] | None,
     go_on: Bool[Array, " ray"] | None,
-    straight: Straight | None = None,
-) -> tuple[tuple[LightSamples, ...], Onward | None, Bool[Array, "source ray"] | None]:
+    straight: Straight,
+) -> tuple[tuple[LightSamples, ...], Onward | None, Bool[Array, "source ray"]]:
     """Sample lights from points, and the directions in which their paths go on, and see what is hidden.
 
     The first direction drawn from the brdf or phase function is also that of the next segment: one ray finds lights
@@ -111,10 +111,10 @@ def sample_direct(
         spread: how they reflect or scatter.
         key: random key; None where nothing is drawn.
         go_on: whether paths go on [ray]; None where no path ever does.
-        straight: of lights without extent; None where none is asked for.
+        straight: the sources without extent that are asked for.
 
     Returns:
-        Samples of each light; the next segments, None where no path goes on; which of `straight` is seen, None without.
+        Samples of each light; the next segments, None where no path goes on; which of `straight` are seen.
     """
     count, own = method.counts if lights else (0, 0)
     onward = max(own, 0 if go_on is None else 1)
@@ -159,17 +159,16 @@ def sample_direct(
         limit = limit.at[0].set(jnp.where(go_on & sent[0], jnp.inf, limit[0]))
     order = sorted(range(len(drawn)), key=lambda place: lights[place].needs_face)  # those that ask for less come first
     reach = [jnp.where(good[i], jnp.inf if lights[i].needs_face else drawn[i].distance, 0) for i in order]
-    ahead = () if straight is None else (straight,)
-    beams = sum(len(part.reach) for part in ahead)
+    beams = straight.reach.shape[0]
     hidden, hit = _first_met(
         scene,
         at,
         hollow,
-        jnp.concatenate([*(part.omega for part in ahead), *(drawn[i].omega for i in order), omega]),
-        jnp.concatenate([*(x.astype(limit.dtype) for x in (*(part.reach for part in ahead), *reach)), limit]),
+        jnp.concatenate([straight.omega, *(drawn[i].omega for i in order), omega]),
+        jnp.concatenate([*(part.astype(limit.dtype) for part in (straight.reach, *reach)), limit]),
         beams + count * sum(not lights[i].needs_face for i in order),
     )
-    sees = None if straight is None else (straight.reach > 0) & ~hidden[:beams]
+    sees = (straight.reach > 0) & ~hidden[:beams]
     hidden = hidden[beams:]
     shadowed = Met(jnp.full(hidden.shape, -1, jnp.int32), jnp.where(hidden, 0, jnp.inf).astype(omega.dtype))
     every = jax.tree.map(lambda *each: jnp.concatenate(each), shadowed, Met(hit.face, hit.t))

@@ -108,9 +108,10 @@ def _step(scene: Scene, method: Method, looks: bool, state: _State, drawn: _Draw
     lights = lights_at_skin(scene, method)
     if vertex is not None and (lights or method.bounces or looks):
         bounce = jnp.broadcast_to(drawn.bounce, state.length.shape) if method.bounces else None
-        straight = _straight(scene.delta_sources, vertex.point, vertex.visible & ~drawn.seen) if looks else None
-        found, onward, sees = _look_from_skin(scene, method, vertex, at_skin, bounce, straight)
-        visible = vertex.visible if sees is None else jnp.where(drawn.seen, vertex.visible, sees)
+        omega, distance = _toward(scene.delta_sources if looks else (), vertex.point)
+        reach = jnp.where(vertex.visible & ~drawn.seen, distance, 0) if looks else distance
+        found, onward, sees = _look_from_skin(scene, method, vertex, at_skin, bounce, Straight(omega, reach))
+        visible = jnp.where(drawn.seen, vertex.visible, sees) if looks else vertex.visible
         vertex = dataclasses.replace(vertex, lights=found, visible=visible)
 
     # Where a particle scatters it before: lights, and the direction of scattering -------------------------------------
@@ -123,11 +124,9 @@ def _step(scene: Scene, method: Method, looks: bool, state: _State, drawn: _Draw
         place = plume.sample_distance(state.rays, reach, u, forced)
         hits = place.inverse_pdf > 0
         point = state.rays.at(place.t)
-        sampled = method.sampled_beams(scene)
-        straight = _straight(sampled, point, jnp.broadcast_to(hits, (len(sampled), *hits.shape)))
+        omega, distance = _toward(method.sampled_beams(scene), point)
+        straight = Straight(omega, jnp.where(hits[None], distance, 0))
         found, from_particle, sees = _look_from_particles(scene, method, state.rays, point, hits, for_lights, straight)
-        assert sees is not None
-        omega, distance = _toward(sampled, point)
         scattering = Scattering(place.t, place.inverse_pdf, state.scattered, omega, distance, sees, found)
         onward = from_particle if onward is None else _either(hits, from_particle, onward, place.passing)
     here = (state.rays, state.length, vertex, scattering, state.sees_surroundings, state.sees_plume)
@@ -184,15 +183,9 @@ def _toward(sources: Sequence[AbstractDeltaSource], point: Array) -> tuple[Array
     return omega, distance
 
 
-def _straight(sources: Sequence[AbstractDeltaSource], point: Array, asked: Array) -> Straight:
-    """Where sources without extent are asked for [source, ray] from points."""
-    omega, distance = _toward(sources, point)
-    return Straight(omega, jnp.where(asked, distance, 0))
-
-
 def _look_from_skin(
-    scene: Scene, method: Method, vertex: Vertex, key: Array | None, go_on: Array | None, straight: Straight | None
-) -> tuple[tuple[LightSamples, ...], Onward | None, Array | None]:
+    scene: Scene, method: Method, vertex: Vertex, key: Array | None, go_on: Array | None, straight: Straight
+) -> tuple[tuple[LightSamples, ...], Onward | None, Array]:
     """Lights and directions of reflection at points of the skin."""
     assert scene.skin is not None
     brdf = scene.skin.brdf.at(jnp.maximum(vertex.face, 0))
@@ -206,7 +199,7 @@ def _look_from_skin(
 
 def _look_from_particles(
     scene: Scene, method: Method, rays: Rays, point: Array, active: Array, key: Array, straight: Straight
-) -> tuple[tuple[LightSamples, ...], Onward | None, Array | None]:
+) -> tuple[tuple[LightSamples, ...], Onward | None, Array]:
     """Lights and directions of scattering at points of particles."""
     plume = scene.plume
     assert plume is not None

@@ -128,14 +128,15 @@ def _summed(lit: Lit, paths: Paths, sums: T, added: Callable[[T, Array, Segment,
         at, through = segment.scattering, Through(lit)
         whole = transmittance(paths, segment, through)
         brought = brings(lit, paths, segment, index == 0, index == count - 1, whole, through)
-        passed, beside = event(segment, whole, through)
+        going_on = event(segment, whole, through)
         straight = None if at is None else direct_at_particles(lit, method, segment, at, through)
+        passed, beside = going_on()
         sums = added(sums, throughput * brought(), segment, index, 0)
         if at is not None and straight is not None:
             direct = straight()
             if method.scattering is not None:
                 direct = direct - expected_at_particles(lit, segment, at)
-            sums = added(sums, throughput * beside() * direct, segment, index, 1)
-        return sums, in_kernels(throughput * onward(lit, segment, passed(), beside()))
+            sums = added(sums, throughput * beside * direct, segment, index, 1)
+        return sums, in_kernels(throughput * onward(lit, segment, passed, beside))
 
     return lax.scan(step, (sums, one), (paths.segments, jnp.arange(count, dtype=jnp.int32)))[0][0]

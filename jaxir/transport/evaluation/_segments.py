@@ -110,17 +110,19 @@ def transmittance(paths: Paths, segment: Segment, through: Through) -> Answer | 
     return through.passed(segment.rays.origin, segment.rays.direction, reach)
 
 
-def event(segment: Segment, passed: Answer | None, through: Through) -> tuple[Answer, Answer]:
+def event(
+    segment: Segment, passed: Answer | None, through: Through
+) -> Callable[[], tuple[Array | float, Array | float]]:
     """Transmittance to where paths go on, and that over the density of the distance where particles scatter them."""
     assert segment.inverse_pdf is not None
     scattering = segment.scattering
     if scattering is None:
         assert passed is not None
-        return passed, lambda: 0.0
+        return lambda: (passed(), 0.0)
     scattered = scattering.inverse_pdf > 0
     reach = jnp.where(scattered, scattering.t, jnp.where(segment.inverse_pdf > 0, segment.length, 0))
     there = through.passed(segment.rays.origin, segment.rays.direction, reach)
-    return there, lambda: jnp.where(scattered[:, None], there() * scattering.inverse_pdf[:, None], 0)
+    return lambda: (there(), jnp.where(scattered[:, None], there() * scattering.inverse_pdf[:, None], 0))
 
 
 def onward(lit: Lit, segment: Segment, passed: Array | float, event: Array | float) -> Array:
