@@ -85,6 +85,7 @@ from jaxir.optics.spectrum import brightness_temperature as brightness_temperatu
 from jaxir.optics.spectrum import gray_nodes as gray_nodes
 from jaxir.optics.spectrum import nodes_for as nodes_for
 from jaxir.optics.spectrum import resolved_nodes as resolved_nodes
+from jaxir.scene import optimal_nodes as optimal_nodes
 from jaxir.scene import scene_nodes as scene_nodes
 from jaxir.optics.spectrum import sensor_band as sensor_band
 

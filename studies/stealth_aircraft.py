@@ -4,7 +4,8 @@ Section 3 of Yu et al. (10.3788/IRLA20200241): an aircraft plain and suppressed,
 as images (Fig. 15) and as radiant intensity around three axes (Fig. 14), with the paper's conclusions checked against
 the numbers. `--mesh FILE --unit m` does the same for your own mesh.
 
-The three bands are computed on one set of spectral nodes, in vacuum; air multiplies every node afterwards.
+The three bands are computed on one set of spectral nodes, chosen for the air of both places, in vacuum; air multiplies
+every node afterwards.
 """
 
 import argparse
@@ -14,7 +15,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -29,7 +30,6 @@ from jaxir.io.result import save_image, save_signature, save_tiff, sweep
 from studies import aircraft
 from studies._study import Run, study, subplots
 
-Scenes = dict[str, jaxir.Scene]
 MOST_RAYS = 512  # of a pixel of a signature
 KEPT = ("azimuth", "elevation", "intensity", "standard_error", "bands", "truncation")  # of a signature
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
@@ -62,7 +62,7 @@ class Effort:
     view: int  # pixels across a view of the signature
     pixels: int  # across an image
     samples: int  # rays per pixel of an image
-    bins: tuple[float, int, int]  # width [cm-1], quantiles, quantiles per gas where two overlap
+    rtol: float  # what spectral nodes may err of a ray in a band
     depth: int  # largest number of reflections; 10 in Table 3
     error: float  # standard error of an intensity at most, as a share of it
     points: tuple[int, ...]  # of the lattice of scattered light along the plume and across it, and its order
@@ -73,8 +73,8 @@ class Effort:
         return jaxir.Method(bounces=self.depth, scattering=jaxir.DiscreteOrdinates(*self.points))
 
 
-FULL = Effort(step=5.0, view=96, pixels=500, samples=4, bins=(250.0, 4, 3), depth=10, error=0.02, points=(41, 9, 5))
-QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, bins=(500.0, 2, 2), depth=6, error=1.0, points=(41, 9))
+FULL = Effort(step=5.0, view=96, pixels=500, samples=4, rtol=0.02, depth=10, error=0.02, points=(41, 9, 5))
+QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, rtol=0.1, depth=6, error=1.0, points=(41, 9))
 
 
 def exhaust(given: Conditions) -> tuple[jaxir.NarrowBandGas, float]:
@@ -105,8 +105,18 @@ def sun(nodes: jaxir.Nodes, given: Conditions) -> jaxir.ParallelSource:
     return jaxir.ParallelSource((0.0, 0.0, -1.0), given.sun_irradiance * spread / total)
 
 
-def scenes(mesh: jaxir.Mesh, temperature: np.ndarray, nodes: jaxir.Nodes, given: Conditions) -> Scenes:
-    """Plain and suppressed, in vacuum."""
+class Aircraft(NamedTuple):
+    """One of the two, in vacuum, on nodes that serve what is seen of it from both places."""
+
+    scene: jaxir.Scene
+    nodes: jaxir.Nodes
+
+
+Made = dict[str, Aircraft]
+
+
+def aircraft_of(mesh: jaxir.Mesh, temperature: np.ndarray, effort: Effort, given: Conditions) -> Made:
+    """Plain and suppressed."""
     gas, speed = exhaust(given)
     back = float(np.asarray(mesh.vertices)[:, 0].min())
     made = {}
@@ -125,7 +135,10 @@ def scenes(mesh: jaxir.Mesh, temperature: np.ndarray, nodes: jaxir.Nodes, given:
             length=60.0,
             particles=load,
         )
-        made[name] = jaxir.Scene(skin, jet, (sun(nodes, given),))
+        daylight = jaxir.ParallelSource((0.0, 0.0, -1.0), jaxir.BlackbodySpectrum(SUN_SURFACE))
+        seen = [through(jaxir.Scene(skin, jet, (daylight,)), place) for place in PLACES]
+        nodes = jaxir.optimal_nodes(seen, BANDS, effort.rtol)
+        made[name] = Aircraft(jaxir.Scene(skin, jet, (sun(nodes, given),)), nodes)
     return made
 
 
@@ -136,6 +149,11 @@ PLACES = {"ground": (0.0, 11_547.0, 5e-6), "air": (10_000.0, 5_000.0, 1e-5)}
 def path_of(place: str) -> jaxir.StandardAtmosphere:
     altitude, distance, _ = PLACES[place]
     return jaxir.StandardAtmosphere(altitude, 10_000.0, distance)
+
+
+def through(scene: jaxir.Scene, place: str) -> jaxir.Scene:
+    """A scene behind the air of a place."""
+    return eqx.tree_at(lambda s: s.atmosphere, scene, path_of(place), is_leaf=lambda x: x is None)
 
 
 def circles(step: float) -> dict[str, np.ndarray]:
@@ -153,15 +171,17 @@ def circles(step: float) -> dict[str, np.ndarray]:
 def each_node(nodes: jaxir.Nodes) -> jaxir.Nodes:
     """The same nodes, every one its own band: air multiplies node by node, so one sweep serves every path of air."""
     names = tuple(f"{low:.0f} cm-1" for low in np.asarray(nodes.lower))
-    return dataclasses.replace(nodes, response=jnp.eye(nodes.count, dtype=nodes.weight.dtype), names=names)
+    return dataclasses.replace(nodes, response=jnp.eye(nodes.count, dtype=nodes.weight.dtype), names=names, error=None)
 
 
-def through_air(table: Signature, nodes: jaxir.Nodes, place: str) -> Signature:
+def through_air(table: Signature, own: Aircraft, place: str) -> Signature:
     """In-band contrast intensities behind the air, from those of the nodes in vacuum.
 
     The nodes of a view share their rays, so their standard errors are added: an upper bound.
     """
-    factor = nodes.response * path_of(place).on(nodes).transmittance[None, :]
+    nodes, plume = own.nodes, own.scene.plume
+    assert plume is not None
+    factor = nodes.response * path_of(place).in_front_of(nodes, plume.hottest()).transmittance[None, :]
     intensity, error = table.intensity @ factor.T, table.standard_error @ factor.T
     added = jnp.where(jnp.isfinite(table.truncation), table.truncation * table.intensity, 0) @ factor.T
     return Signature(table.azimuth, table.elevation, intensity, error, nodes.names, added / intensity)
@@ -170,14 +190,14 @@ def through_air(table: Signature, nodes: jaxir.Nodes, place: str) -> Signature:
 Tables = dict[tuple[str, str, str], Signature]  # by aircraft, place, axis
 
 
-def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, folder: Path | None) -> Tables:
+def signatures(made: Made, effort: Effort, folder: Path | None) -> Tables:
     """Intensities around three axes; in a folder every finished view is kept, so that a run that was killed goes on."""
     views = circles(effort.step)
     tables: Tables = {}
-    for name, scene in made.items():
-        vacuum = close(scene, np.concatenate(list(views.values())), nodes, effort, folder and folder / name)
+    for name, own in made.items():
+        vacuum = close(own, np.concatenate(list(views.values())), effort, folder and folder / name)
         for place in PLACES:
-            whole, begin = through_air(vacuum, nodes, place), 0
+            whole, begin = through_air(vacuum, own, place), 0
             for axis, aspects in views.items():
                 part = slice(begin, begin + len(aspects))
                 tables[name, place, axis] = Signature(
@@ -192,19 +212,17 @@ def signatures(made: Scenes, nodes: jaxir.Nodes, effort: Effort, folder: Path | 
     return tables
 
 
-def close(
-    scene: jaxir.Scene, aspects: np.ndarray, nodes: jaxir.Nodes, effort: Effort, folder: Path | None
-) -> Signature:
+def close(own: Aircraft, aspects: np.ndarray, effort: Effort, folder: Path | None) -> Signature:
     """Intensities of nodes in vacuum; aspects whose error is too large are looked at again with four times the rays."""
     how = {"distance": 5_000.0, "shape": (effort.view // 2, effort.view), "method": effort.method}
     whole, left, rays = None, np.arange(len(aspects)), 2
     while len(left):
-        asked = scene, aspects[left], each_node(nodes)
-        own = {**how, "samples": rays, "key": jax.random.key(rays)}
-        found = jaxir.signature(*asked, **own) if folder is None else sweep(Path(f"{folder}_{rays}"), *asked, **own)
+        asked = own.scene, aspects[left], each_node(own.nodes)
+        more = {**how, "samples": rays, "key": jax.random.key(rays)}
+        found = jaxir.signature(*asked, **more) if folder is None else sweep(Path(f"{folder}_{rays}"), *asked, **more)
         found = Signature(*(getattr(found, field) for field in KEPT))
         whole = found if whole is None else jax.tree.map(lambda all, some, at=left: all.at[at].set(some), whole, found)
-        tables = [through_air(found, nodes, place) for place in PLACES]
+        tables = [through_air(found, own, place) for place in PLACES]
         apart = np.max([np.asarray(table.standard_error / table.intensity) for table in tables], axis=(0, 2))
         left = left[apart > effort.error] if rays < MOST_RAYS else left[:0]
         rays *= 4
@@ -220,20 +238,19 @@ def camera_at(place: str, pixels: int) -> jaxir.Camera:
     return jaxir.perspective_camera(azimuth, elevation, distance, pixel, (pixels, pixels), target=(-4.0, 0.0, 0.0))
 
 
-def look(scene: jaxir.Scene, place: str, camera: jaxir.Camera, nodes: jaxir.Nodes, effort: Effort) -> jaxir.Image:
+def look(own: Aircraft, place: str, camera: jaxir.Camera, effort: Effort) -> jaxir.Image:
     """An image through the air; alike in structure for all cameras of as many pixels."""
     # the plume is looked for from the skin, where it is a thousandth of the intensity, and grain if met by chance
     method = dataclasses.replace(effort.method, plume_light=jaxir.PlumeLight())
-    seen = eqx.tree_at(lambda s: s.atmosphere, scene, path_of(place), is_leaf=lambda x: x is None)
-    return jaxir.render(seen, camera, nodes, samples=effort.samples, method=method)
+    return jaxir.render(through(own.scene, place), camera, own.nodes, samples=effort.samples, method=method)
 
 
-def images(made: Scenes, nodes: jaxir.Nodes, effort: Effort) -> dict[str, jaxir.Image]:
+def images(made: Made, effort: Effort) -> dict[str, jaxir.Image]:
     """Fig. 15."""
     return {
-        f"{name}, {place}": look(scene, place, camera_at(place, effort.pixels), nodes, effort)
+        f"{name}, {place}": look(own, place, camera_at(place, effort.pixels), effort)
         for place in PLACES
-        for name, scene in made.items()
+        for name, own in made.items()
     }
 
 
@@ -279,7 +296,7 @@ class Side:
     area: np.ndarray  # of pixels at least a thousandth as bright as the brightest of the plain plume [m2]
 
 
-def from_the_side(made: Scenes, mesh: jaxir.Mesh, nodes: jaxir.Nodes, effort: Effort) -> dict[str, Side]:
+def from_the_side(made: Made, mesh: jaxir.Mesh, effort: Effort) -> dict[str, Side]:
     """Skin and plume apart, by what the middles of pixels see."""
     pixels = effort.pixels
     distance, across = PLACES["air"][1], 80.0  # [m]
@@ -289,8 +306,8 @@ def from_the_side(made: Scenes, mesh: jaxir.Mesh, nodes: jaxir.Nodes, effort: Ef
     skin = np.asarray(jaxir.visible_faces(mesh, camera)) >= 0
     size = np.asarray(camera.pixel_area())[:, :, None]
     found: dict[str, Side] = {}
-    for name, scene in made.items():
-        image = look(scene, "air", camera, nodes, effort)
+    for name, own in made.items():
+        image = look(own, "air", camera, effort)
         radiance = np.asarray(image.radiance) - np.asarray(image.empty)
         brightest = radiance[~skin].max(axis=0)
         least = (found["plain"].brightest if found else brightest) / 1000
@@ -299,38 +316,36 @@ def from_the_side(made: Scenes, mesh: jaxir.Mesh, nodes: jaxir.Nodes, effort: Ef
     return found
 
 
-def plume_aside(jet: jaxir.JetPlume, nodes: jaxir.Nodes) -> np.ndarray:
-    """What a plume alone sends to the side, behind the air [band] [W sr-1]."""
-    alone = jaxir.Scene(None, jet, atmosphere=path_of("air"))
-    return np.asarray(jaxir.signature(alone, [[90.0, 0.0]], nodes, distance=5_000.0, shape=(32, 128)).intensity)[0]
-
-
-def cooler_exhaust(scene: jaxir.Scene, nodes: jaxir.Nodes, skin: np.ndarray) -> list[str]:
-    """How the bands of the plain aircraft rank from the side in the air if the exhaust were cooler."""
-    said = []
-    for kelvin in (600.0, 800.0, 1000.0, 1400.0, 2000.0):
-        jet = eqx.tree_at(lambda plume: plume.exit_temperature, scene.plume, jnp.asarray(kelvin))
-        plume = plume_aside(jet, nodes)
+def jets_aside(scene: jaxir.Scene, effort: Effort, skin: np.ndarray) -> list[str]:
+    """What the plain plume sends to the side, by the air around it; and how bands rank by how hot the exhaust is."""
+    jet = scene.plume
+    assert isinstance(jet, jaxir.JetPlume)
+    airs = {
+        "here: at 10 km, and 255 K once it rests on the skin": (26500.0, aircraft.AMBIENT),
+        "Table 3 as printed": (30000.0, 255.0),
+    }
+    kelvins = (600.0, 800.0, 1000.0, 1400.0, 2000.0)
+    jets = [
+        eqx.tree_at(lambda p: (p.gas.pressure, p.ambient_temperature), jet, tuple(map(jnp.asarray, air)))
+        for air in airs.values()
+    ]
+    jets += [eqx.tree_at(lambda p: p.exit_temperature, jet, jnp.asarray(kelvin)) for kelvin in kelvins]
+    alone = [jaxir.Scene(None, one, atmosphere=path_of("air")) for one in jets]
+    nodes = jaxir.optimal_nodes(alone, BANDS, effort.rtol)
+    aside = [
+        np.asarray(jaxir.signature(one, [[90.0, 0.0]], nodes, distance=5_000.0, shape=(32, 128)).intensity)[0]
+        for one in alone
+    ]
+    said = ["what the air does:"]
+    for (name, (pressure, kelvin)), value in zip(airs.items(), aside[: len(airs)], strict=True):
+        values = ", ".join(f"{band.name} {one:.4g}" for band, one in zip(BANDS, value, strict=True))
+        said.append(f"plume in air of {pressure:.0f} Pa and {kelvin:.0f} K ({name}): {values} W/sr")
+    said.append("what decides it:")
+    for kelvin, plume in zip(kelvins, aside[len(airs) :], strict=True):
         whole = skin + plume
         order = " > ".join(BANDS[i].name for i in np.argsort(-whole))
         values = ", ".join(f"{band.name} {value:.3g}" for band, value in zip(BANDS, whole, strict=True))
         said.append(f"exhaust of {kelvin:.0f} K: {order} ({values} W/sr; plume {plume[2] / whole[2]:.0%} of LWIR)")
-    return said
-
-
-def surroundings(scene: jaxir.Scene, nodes: jaxir.Nodes) -> list[str]:
-    """What the plain plume sends to the side, in the air of Table 3 as printed and of 10 km altitude."""
-    said = []
-    assert isinstance(scene.plume, jaxir.JetPlume)
-    for name, pressure, kelvin in (
-        ("here: at 10 km, and 255 K once it rests on the skin", 26500.0, aircraft.AMBIENT),
-        ("Table 3 as printed", 30000.0, 255.0),
-    ):
-        air = jnp.asarray(pressure), jnp.asarray(kelvin)
-        jet = eqx.tree_at(lambda p: (p.gas.pressure, p.ambient_temperature), scene.plume, air)
-        value = plume_aside(jet, nodes)
-        values = ", ".join(f"{band.name} {one:.4g}" for band, one in zip(BANDS, value, strict=True))
-        said.append(f"plume in air of {pressure:.0f} Pa and {kelvin:.0f} K ({name}): {values} W/sr")
     return said
 
 
@@ -417,16 +432,15 @@ def main(run: Run) -> str:
     else:
         mesh = load_mesh(chosen.mesh, unit=chosen.unit).mesh
         temperature = np.full(mesh.count, chosen.temperature)
-    nodes = jaxir.resolved_nodes(BANDS, *effort.bins)
-    made = scenes(mesh, temperature, nodes, given)
+    made = aircraft_of(mesh, temperature, effort, given)
 
     began = time.perf_counter()
     views = None if chosen.quick else out / "views"
     if views is not None:
         views.mkdir(exist_ok=True)
     with ThreadPoolExecutor(1) as pool:  # most of a program compiles and runs on one core
-        looking = pool.submit(images, made, nodes, effort)
-        tables = signatures(made, nodes, effort, views)
+        looking = pool.submit(images, made, effort)
+        tables = signatures(made, effort, views)
         seen = looking.result()
     spent = time.perf_counter() - began
     for (name, place, axis), table in tables.items():
@@ -437,11 +451,10 @@ def main(run: Run) -> str:
         save_image(stem.with_suffix(".npz"), image)
         save_tiff(stem.with_suffix(".tif"), image)
     run.chart(image_panels(seen), dpi=110, bbox_inches="tight")
-    side = from_the_side(made, mesh, nodes, effort)
+    side = from_the_side(made, mesh, effort)
     said = conclusions(tables, side)
     whole, every = sum(line.startswith("holds:") for line in said), len(said)
-    said += ["what the air does:", *surroundings(made["plain"], nodes)]
-    said += ["what decides it:", *cooler_exhaust(made["plain"], nodes, side["plain"].skin)]
+    said += jets_aside(made["plain"].scene, effort, side["plain"].skin)
 
     worst = {
         " ".join(key): float(np.max(np.asarray(table.standard_error) / np.abs(np.asarray(table.intensity))))
@@ -449,7 +462,11 @@ def main(run: Run) -> str:
     }
     report = {
         "conditions": dataclasses.asdict(given) | {"exhaust_speed_m_s": exhaust(given)[1], "mesh": chosen.mesh},
-        "effort": dataclasses.asdict(effort) | {"nodes": nodes.count},
+        "effort": dataclasses.asdict(effort),
+        "nodes": {name: own.nodes.count for name, own in made.items()},
+        "what nodes err, of a ray in each band, at most": {
+            name: np.asarray(own.nodes.error).tolist() for name, own in made.items()
+        },
         "versions": {"jaxir": version("jaxir"), "jax": jax.__version__, "python": platform.python_version()},
         "seconds of signatures and images": spent,
         "largest relative standard error of an intensity": worst,
@@ -461,7 +478,7 @@ def main(run: Run) -> str:
     }
     run.record(report)
     print("\n".join(said))
-    return f"{whole} of {every} conclusions of the paper hold throughout; {nodes.count} nodes; the rest is in {out}"
+    return f"{whole} of {every} conclusions of the paper hold throughout; the rest is in {out}"
 
 
 if __name__ == "__main__":

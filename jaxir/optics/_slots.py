@@ -122,7 +122,7 @@ def cold_cells(nodes: Nodes, hottest: Float[Array, ""]) -> ColdCells:
     part = (place - levels[first]) / (levels[first + 1] - levels[first])
     order = np.argsort(table.rank.reshape(table.reference.size, -1), axis=1, kind="stable")
     weight = _cell_weights(nodes, table.rank.shape[-1])
-    start, end = _slots(nodes)
+    start, end = nodes.slot[:, 0, 0], nodes.slot[:, 0].sum(axis=1)
 
     def share(ranked: Array) -> Array:
         own = weight[:, ranked]
@@ -149,17 +149,3 @@ def _cell_weights(nodes: Nodes, count: int) -> Float[Array, "node cell"]:
     """Share of each cell, bin by bin, in the nodes' bins."""
     bins = overlap_matrix(nodes.lower, nodes.upper, as_float(co2_slots().edges))
     return (bins[:, :, None] * as_float(cell_shares(count))[None, None, :]).reshape(bins.shape[0], -1)
-
-
-def _slots(nodes: Nodes) -> tuple[Float[Array, " node"], Float[Array, " node"]]:
-    """From which to which share of its bin, ranked by the first quantile, each node stands [node].
-
-    Nodes of one bin and one first quantile share a slot. All pairs of nodes are compared, which compiles faster than
-    sorting them.
-    """
-    edges_and_g = (nodes.lower, nodes.upper, nodes.g[:, 0])
-    (low, low2), (high, high2), (g, g2) = ((x[:, None], x[None, :]) for x in edges_and_g)
-    weight = jnp.where((low == low2) & (high == high2), nodes.weight[None, :], 0)  # of the nodes of the same bin
-    total = jnp.maximum(jnp.sum(weight, axis=1), 1e-30)
-    start = jnp.sum(jnp.where(g2 < g, weight, 0), axis=1) / total
-    return start, start + jnp.sum(jnp.where(g2 == g, weight, 0), axis=1) / total

@@ -83,20 +83,20 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
 
 def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:
     """The fewest nodes that do, as an earlier process found or anew."""
-    key, own = f"nodes {asked}", _is_own(asked[0])
+    key, own = f"nodes {asked}", is_own(asked[0])
     held = kept(key) if own else None
-    candidates, finest = _candidates(bands)
-    place, error = _fewest(scene, candidates, finest) if held is None else json.loads(held)
+    candidates = _candidates(bands)
+    place, error = _fewest(scene, candidates, finest_nodes(bands)) if held is None else json.loads(held)
     if held is None and own:
         keep(key, json.dumps([place, error.tolist()]).encode())
     return with_error(candidates[place], np.asarray(error))
 
 
-def _is_own(structure: jax.tree_util.PyTreeDef) -> bool:
+def is_own(structure: jax.tree_util.PyTreeDef) -> bool:
     """Whether all parts of a scene are of kinds that this package defines: others may change behind a name."""
     node = structure.node_data()
     own = node is None or node[0].__module__.split(".")[0] in ("jaxir", "builtins")
-    return own and all(_is_own(child) for child in structure.children())
+    return own and all(is_own(child) for child in structure.children())
 
 
 _chosen: dict[tuple, Nodes] = {}
@@ -118,7 +118,7 @@ def nodes_error(scene: Scene, nodes: Nodes) -> Float[Array, " band"] | None:
         return None
     if not scene.has_spectrum:
         return jnp.zeros(len(response), nodes.weight.dtype)
-    fine, coarse = finer_nodes(nodes), _coarse(scene)
+    fine, coarse = finer_nodes(nodes), with_few_cells(scene)
     try:
         finest, own = (_results(coarse, axis, max(fine.count, nodes.count)) for axis in (fine, nodes))
     except ValueError:  # light or air given for each of the nodes
@@ -126,7 +126,8 @@ def nodes_error(scene: Scene, nodes: Nodes) -> Float[Array, " band"] | None:
     return jnp.asarray(_apart(finest, own), nodes.weight.dtype)  # in units of what they find
 
 
-def _coarse(scene: Scene) -> Scene:
+def with_few_cells(scene: Scene) -> Scene:
+    """The same scene with grids of few cells: enough to choose nodes with."""
     return eqx.tree_at(lambda s: s.plumes, scene, tuple(plume.thinned() for plume in scene.plumes))
 
 
@@ -139,17 +140,24 @@ def _apart(results: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.max(np.abs(results - others) / np.where(np.abs(others) > 0, np.abs(others), 1), axis=0)
 
 
-def _candidates(bands: tuple[Band, ...]) -> tuple[list[Nodes], Nodes]:
-    """From few nodes to many, gray ones first, and what they are compared with."""
-    few = resolved_nodes(bands, FINEST.width, 1, 0).count <= FEW_BINS
-    tried, finest = ((*TRIED, FINEST, *MORE), FINER) if few else (TRIED, FINEST)
-    tries = [resolved_nodes(bands, *resolution) for resolution in tried]
-    return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count)], resolved_nodes(bands, *finest)
+def _candidates(bands: tuple[Band, ...]) -> list[Nodes]:
+    """From few nodes to many, gray ones first."""
+    tries = [resolved_nodes(bands, *each) for each in ((*TRIED, FINEST, *MORE) if _narrow(bands) else TRIED)]
+    return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count)]
+
+
+def finest_nodes(bands: tuple[Band, ...]) -> Nodes:
+    """What others are compared with."""
+    return resolved_nodes(bands, *(FINER if _narrow(bands) else FINEST))
+
+
+def _narrow(bands: tuple[Band, ...]) -> bool:
+    return resolved_nodes(bands, FINEST.width, 1, 0).count <= FEW_BINS
 
 
 def _fewest(scene: Scene, candidates: list[Nodes], finest: Nodes) -> tuple[int, np.ndarray]:
     """`scene_nodes` of known values: which of `_candidates`, and its error [band]."""
-    coarse = _coarse(scene)
+    coarse = with_few_cells(scene)
     true = _results(coarse, finest, finest.count)
     errors: list[np.ndarray] = []
     for nodes in candidates:
@@ -177,7 +185,7 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
         behind = jnp.concatenate([dark, jax.vmap(lambda t: band_radiance(t, nodes))(warm)])
     if lit.medium is None:
         return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([behind[1:] if len(behind) > 1 else behind, *lights])))
-    frame = _about_plumes(scene)
+    frame = about_plumes(scene)
     corners = matmul(scene.extent(), frame.T)
     low, high = corners.min(axis=0), corners.max(axis=0)
     place = (np.indices((_ACROSS, _ACROSS)).reshape(2, -1).T + 0.5) / _ACROSS
@@ -196,7 +204,7 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
     return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([*lights, seen])))
 
 
-def _about_plumes(scene: Scene) -> Float[Array, "3 3"]:
+def about_plumes(scene: Scene) -> Float[Array, "3 3"]:
     """Unit vectors as rows, the last along the plumes: that in which their corners are farthest apart."""
     corners = jnp.concatenate([plume.extent() for plume in scene.plumes])
     apart = corners - corners.mean(axis=0, keepdims=True)

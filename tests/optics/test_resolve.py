@@ -20,6 +20,7 @@ from jaxir.optics.spectrum import (
     resolved_nodes,
     sensor_band,
 )
+from tests.scenes import plate
 
 
 def bins(nodes):
@@ -203,3 +204,24 @@ def test_nodes_are_refined_to_the_finest_of_their_bands():
         found = finer_nodes(coarse)
         for name in ("lower", "upper", "g", "weight", "response"):
             np.testing.assert_allclose(getattr(found, name), getattr(finest, name), rtol=1e-6)
+
+
+def test_values_for_bands_are_those_of_the_bands_where_each_has_one_node():
+    """Ascending wavenumbers had them in the other order, and 5 and 50 W m-2 were exchanged."""
+    bands = Band("a", 8.0, 10.0), Band("b", 10.0, 12.0)
+    one, fine = (resolved_nodes(bands, width, 1, 0) for width in (2000.0, 100.0))
+    assert one.count == 2
+    given = jaxir.UniformBackground([3.0, 7.0])
+    for nodes in (one, fine):
+        lit = jaxir.Scene(plate(), background=given).on(nodes)
+        seen = nodes.in_band(lit.background(jnp.asarray([0.0, 0.0, -1.0])))
+        np.testing.assert_allclose(seen, [3.0, 7.0], rtol=1e-5)
+
+
+def test_a_node_of_two_bands_is_not_taken_for_one_of_them():
+    """With as many nodes as bands that overlap, one number for every band was twice that in the wider."""
+    nodes = resolved_nodes((Band("a", 8.0, 10.0), Band("b", 8.0, 12.0)), 2000.0, 1, 0)
+    assert nodes.count == 3 and float(nodes.weight[-1]) == 0
+    scene = jaxir.Scene(plate(), background=jaxir.UniformBackground(3.0))
+    with pytest.raises(ValueError, match="UniformBackground.radiance: bands of a node: got 2"):
+        jaxir.render(scene, jaxir.orthographic_camera(0.0, 0.0, 1.0, (2, 2)), nodes)

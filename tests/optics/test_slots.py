@@ -5,7 +5,7 @@ import pytest
 
 from jaxir.optics import _slots
 from jaxir.optics.air import path_air, path_transmittance, slot_path, us_standard_1976
-from jaxir.optics.spectrum import MWIR, Band, band_radiance, padded_nodes, resolved_nodes
+from jaxir.optics.spectrum import MWIR, Band, band_radiance, resolved_nodes
 from studies import co2_lines as lines
 from studies import co2_tables
 
@@ -27,24 +27,25 @@ def test_the_shipped_table_is_what_the_lines_say():
     assert all(np.isfinite(array).all() for array in table)
 
 
-SLOTS = jax.jit(_slots._slots)
 PATH = jax.jit(slot_path)
 
 
 @pytest.mark.parametrize("width, points", [(50.0, 8), (200.0, 32), (25.0, 4)])
 def test_a_node_stands_for_its_share_of_the_bin(width, points):
     nodes = resolved_nodes(BAND, width, points, 0)
-    start, end = (np.asarray(x) for x in SLOTS(nodes))
-    np.testing.assert_allclose(end - start, nodes.weight, atol=1e-6)
-    assert np.all((start <= nodes.g[:, 0]) & (nodes.g[:, 0] <= end))
+    start, share = np.asarray(nodes.slot)[:, 0].T
+    np.testing.assert_allclose(share, nodes.weight, atol=1e-6)
+    assert np.all((start <= nodes.g[:, 0]) & (nodes.g[:, 0] <= start + share))
+    np.testing.assert_array_equal(nodes.slot[:, 0], nodes.slot[:, 1])
 
 
 def test_nodes_of_a_square_share_the_slots_of_their_first_quantile():
-    """Padding, of weight 0, takes nothing."""
-    nodes = padded_nodes(resolved_nodes(BAND, 50.0, 8, 2, overlap=((2000.0, 2400.0),)), 64)
-    start, end = (np.asarray(x)[:32].reshape(8, 2, 2) for x in SLOTS(nodes))
-    np.testing.assert_allclose(start[:, :, 0], start[:, :, 1])
-    np.testing.assert_allclose((end - start)[..., 0].sum(axis=1), 1, atol=1e-6)
+    nodes = resolved_nodes(BAND, 50.0, 8, 2, overlap=((2000.0, 2400.0),))
+    for quantile, shared in ((0, 2), (1, 1)):  # the second quantile runs fastest
+        start, share = np.asarray(nodes.slot)[:, quantile].reshape(8, 2, 2, 2).transpose(3, 0, 1, 2)
+        np.testing.assert_allclose(start, np.broadcast_to(start.take([0], shared), start.shape))
+        np.testing.assert_allclose(share.take(0, shared).sum(axis=1), 1, atol=1e-6)
+        np.testing.assert_allclose(start.take(0, shared)[:, 0], 0)
 
 
 @pytest.mark.parametrize("hottest", [300.0, 1000.0, 3000.0])

@@ -1,10 +1,10 @@
 """Spectra inside bins, ranked by absorption, on the host: quantiles of one spectrum and slots of another.
 
 The k-distribution of a bin is the absorption spectrum in ascending order. A node's quantile g picks one value of it;
-the node's weight is the share of the bin that it stands for, its slot: from the sum of the weights below to that sum
-plus its own. (The point of a Gauss quadrature lies inside its slot: Chebyshev, Markov, Stieltjes.) Another spectrum,
-above all the transmittance of cold air in front, is averaged over the wavenumbers whose rank in the first spectrum
-falls into the slot, so that what coincides line by line stays together.
+the node's weight is the share of the bin that it stands for, its slot (`Nodes.slot`): from the sum of the weights below
+to that sum plus its own. (The point of a Gauss quadrature lies inside its slot: Chebyshev, Markov, Stieltjes.) Another
+spectrum, above all the transmittance of cold air in front, is averaged over the wavenumbers whose rank in the first
+spectrum falls into the slot, so that what coincides line by line stays together.
 """
 
 from __future__ import annotations
@@ -97,26 +97,21 @@ def slot_means(
     Returns:
         Transmittance for each node.
     """
-    g, weight = np.asarray(nodes.g, np.float64), np.asarray(nodes.weight, np.float64)
+    g, slot = np.asarray(nodes.g), np.asarray(nodes.slot, np.float64)
     result = np.empty(nodes.count)
     for each in bins_of(nodes, wavenumber):
         own, inside = each
         if np.array_equal(g[own, 0], g[own, 1]):
             total = ranked_by[:, inside].sum(axis=0)
-            result[own] = _slots(g[own, 0], weight[own], total, np.exp(-depth[:, inside].sum(axis=0)))
+            result[own] = _in_slots(slot[own, 0], total, np.exp(-depth[:, inside].sum(axis=0)))
         else:
-            first, second = (
-                _slots(g[own, i], weight[own], ranked_by[i, inside], np.exp(-depth[i, inside])) for i in (0, 1)
-            )
+            first, second = (_in_slots(slot[own, i], ranked_by[i, inside], np.exp(-depth[i, inside])) for i in (0, 1))
             result[own] = first * second
     return result
 
 
-def _slots(g: np.ndarray, weight: np.ndarray, ranked_by: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Mean of `value` over the slot of each quantile; equal quantiles share a slot."""
-    distinct, slot = np.unique(g, return_inverse=True)
-    share = np.bincount(slot, weight, distinct.size)
-    edge = np.concatenate([[0.0], np.cumsum(share) / share.sum()])
+def _in_slots(slot: np.ndarray, ranked_by: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Mean of `value` over slots, given by where each begins and how large it is [slot, 2]."""
     below = np.concatenate([[0.0], np.cumsum(value[np.argsort(ranked_by, kind="stable")])]) / value.size
-    integral = np.interp(edge, np.arange(value.size + 1) / value.size, below)
-    return (np.diff(integral) / np.diff(edge))[slot]
+    ends = np.stack([slot[:, 0], slot.sum(axis=1)], axis=1)
+    return np.diff(np.interp(ends, np.arange(value.size + 1) / value.size, below), axis=1)[:, 0] / slot[:, 1]

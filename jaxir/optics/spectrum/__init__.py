@@ -15,6 +15,8 @@ from jaxir.optics.spectrum._band import gray_nodes as gray_nodes
 from jaxir.optics.spectrum._band import padded_nodes as padded_nodes
 from jaxir.optics.spectrum._band import quantile_index as quantile_index
 from jaxir.optics.spectrum._band import sensor_band as sensor_band
+from jaxir.optics.spectrum._band import some_of as some_of
+from jaxir.optics.spectrum._band import told_apart as told_apart
 from jaxir.optics.spectrum._band import wavelength_to_wavenumber as wavelength_to_wavenumber
 from jaxir.optics.spectrum._band import with_error as with_error
 from jaxir.optics.spectrum._light import BlackbodySpectrum as BlackbodySpectrum

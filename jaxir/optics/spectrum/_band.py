@@ -123,7 +123,10 @@ class Nodes(eqx.Module):
             exponent of Planck's law right in float32.
         g: quantiles in the distribution of the absorption coefficient [node, 2] (two, because two gases overlap
             independently); 1/2 for a gray node.
-        weight: quadrature weight of the node inside its bin [node]; sums to 1 over a bin.
+        slot: for which share of its bin, ranked by absorption, a node stands: where it begins, and how large it is, for
+            either quantile [node, 2, 2]; 0 and 1 for a gray node. Nodes of one quantile share it.
+        weight: quadrature weight of the node inside its bin [node]; sums to 1 over a bin, but for nodes that stand for
+            others, too, see `jaxir.optimal_nodes`.
         response: sensor response of each band at each node [band, node]; 0 outside the band.
         names: band labels.
         error: relative error that the nodes leave in the bands of the scene for which they were chosen, estimated
@@ -134,6 +137,7 @@ class Nodes(eqx.Module):
     upper: Float[Array, " node"]
     edge: Float[Array, "node 2 2"]
     g: Float[Array, "node 2"]
+    slot: Float[Array, "node 2 2"]
     weight: Float[Array, " node"]
     response: Float[Array, "band node"]
     names: tuple[str, ...] = eqx.field(static=True)
@@ -181,10 +185,27 @@ def build_nodes(
         upper=as_float(upper),
         edge=as_float(np.stack([leading.astype(np.float64), remainder], axis=-1)),
         g=as_float(g),
+        slot=as_float(_slots(lower, upper, np.asarray(g, np.float64), np.asarray(weight, np.float64))),
         weight=as_float(weight),
         response=as_float(response),
         names=tuple(names),
     )
+
+
+def _slots(lower: np.ndarray, upper: np.ndarray, g: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """See `Nodes.slot`: of a quantile, the weights in its bin below it, and its own."""
+    bins = np.unique(np.stack([lower, upper], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+    found = []
+    for quantile in g.T:
+        each, place = np.unique(np.stack([bins, quantile], axis=1), axis=0, return_inverse=True)
+        of_bin, place = each[:, 0].astype(int), place.reshape(-1)
+        share: np.ndarray = np.bincount(place, weight)
+        whole = np.bincount(of_bin, share)
+        share = share / np.where(whole > 0, whole, 1)[of_bin]
+        below = np.cumsum(share) - share
+        before = below - below[np.searchsorted(of_bin, of_bin)]  # less what is below the first of its bin
+        found.append(np.stack([before, share], axis=1)[place])
+    return np.stack(found, axis=1)
 
 
 def as_bands(bands: Band | Sequence[Band]) -> tuple[Band, ...]:
@@ -240,10 +261,39 @@ def padded_nodes(nodes: Nodes, count: int) -> Nodes:
         upper=pad(nodes.upper),
         edge=pad(nodes.edge),
         g=pad(nodes.g),
+        slot=pad(nodes.slot),
         weight=jax.device_put(np.pad(np.asarray(nodes.weight), (0, more))),
         response=pad(nodes.response, -1),
         names=nodes.names,
     )
+
+
+def some_of(nodes: Nodes, place: np.ndarray) -> Nodes:
+    """Some nodes, in an order; on the host."""
+
+    def of(leaf: Array, axis: int = 0) -> Array:
+        return jax.device_put(np.take(np.asarray(leaf), place, axis))
+
+    names = ("lower", "upper", "edge", "g", "slot", "weight")
+    return Nodes(
+        **{name: of(getattr(nodes, name)) for name in names},
+        response=of(nodes.response, 1),
+        names=nodes.names,
+        error=nodes.error,
+    )
+
+
+def told_apart(nodes: Nodes) -> Nodes:
+    """The same nodes, so that values for bands are not taken for values for nodes where there are as many.
+
+    Where every band has a node of its own, they are in the order of the bands; else there is one more, of weight 0.
+    """
+    inside = np.asarray(nodes.response) > 0
+    if len(inside) != nodes.count:
+        return nodes
+    if (inside.sum(axis=0) == 1).all() and (inside.sum(axis=1) == 1).all():
+        return some_of(nodes, np.argmax(inside, axis=1))
+    return padded_nodes(nodes, nodes.count + 1)
 
 
 def as_nodes(bands: Nodes | Band | Sequence[Band]) -> Nodes:

@@ -14,7 +14,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._math import gauss_legendre
-from jaxir.optics.spectrum._band import SECOND_RADIATION, Band, Nodes, as_bands, bin_edges, build_nodes, gray_nodes
+from jaxir.optics.spectrum._band import (
+    SECOND_RADIATION,
+    Band,
+    Nodes,
+    as_bands,
+    bin_edges,
+    build_nodes,
+    gray_nodes,
+    told_apart,
+)
 
 CO2_H2O_OVERLAP = ((800.0, 1150.0), (3300.0, 3800.0), (4800.0, 5150.0))
 """Where CO2 and H2O of combustion products both matter [cm-1]: elsewhere between 800 and 9300 cm-1 a common quantile
@@ -77,7 +86,7 @@ def resolved_nodes(
 
     Returns:
         Nodes in ascending wavenumber, none where no band responds; `Nodes.response` is each band's mean response over
-        the bin, 0 outside the band.
+        the bin, 0 outside the band. Where every band has one node, they are in the order of the bands.
 
     Raises:
         ValueError: no band, a width that is not > 0, or a number of points out of range.
@@ -93,7 +102,7 @@ def resolved_nodes(
     response = _in_bins(bands, edges, lower, upper, Band.mean_response)
     some = response.any(axis=0) if response.any() else slice(None)
     each = lower[some], upper[some], response[:, some]
-    return _with_quantiles(*each, points, pair_points, overlap, [band.name for band in bands])
+    return told_apart(_with_quantiles(*each, points, pair_points, overlap, [band.name for band in bands]))
 
 
 def _in_bins(

@@ -1,0 +1,249 @@
+"""Few spectral nodes that stand for many, by optimal spectral sampling.
+
+The spectra that rays bring from one scene are alike: thousands of nodes of fine bins differ in a few dozens of ways. Of
+the nodes n of a fine resolution those with factors f_n > 0 are taken,
+
+    sum_n response[band, n] weight[n] L_n = sum_n response[band, n] weight[n] f_n L_n,
+
+for all spectra L of a training set (Moncet, Uymin, Lipton and Snell, "Infrared radiance modeling by optimal spectral
+sampling", J. Atmos. Sci. 65, 2008, 3917). No more of them are needed than there are independent spectra, the singular
+vectors of the set; those with small singular values are left out, first many, then fewer, until rays that are not in
+the set agree.
+
+The set: rays through places in the plumes, drawn half by what is hot and half evenly, to all sides and half of them
+nearly along the plumes, seen through the air from outside and without it from these places; what they show of the
+plumes, and what passes of skin, of every light and of light that is the same at all wavenumbers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
+from jaxir._cache import keep, kept
+from jaxir._math import matmul
+from jaxir._programs import program
+from jaxir.geometry import Rays
+from jaxir.optics.spectrum import Band, Nodes, as_bands, band_radiance, gray_nodes, some_of, told_apart, with_error
+from jaxir.scene._resolution import KEPT, about_plumes, finest_nodes, is_own, with_few_cells
+from jaxir.scene._scene import Lit, Scene, on_nodes
+from jaxir.scene.light import area_sources, backgrounds, delta_sources
+
+TOLERANCES = tuple(10.0 ** (-k / 4) for k in range(5, 21))  # singular values left out, as shares of the largest
+RAYS = 144  # through each plume; every third is not in the set
+HOT = 6.0  # power of the temperature by which places are drawn, about that of what is emitted at 3 to 5 um
+ALONG = 0.15  # 1 - cos of the directions about a plume's axis that half of the rays have, at most
+INSIDE = 0.3  # of an error of light inside the scene counts: of what is seen, that light is a part
+FAINT = 1e-3  # of the brightest spectrum of a kind: fainter ones do not count
+BLOCK = 256  # spectra whose singular vectors are found at a time
+
+Chosen = tuple[np.ndarray, np.ndarray, np.ndarray]  # which nodes, their factors, what they err in each band
+
+
+def optimal_nodes(scenes: Scene | Sequence[Scene], bands: Band | Sequence[Band], rtol: float = 0.02) -> Nodes:
+    """The least spectral nodes with which all that is seen of scenes is right within `rtol`.
+
+    Where hot gas shines through cold air, a twentieth or less of those of `scene_nodes`, at the same error: an exhaust
+    of 2000 K in three bands takes about 90 in place of 1785. Each stands for what others bring, so that by themselves
+    they are no spectrum. They fit these scenes: choose them anew for others. Derivatives are those with the nodes held.
+
+    Args:
+        scenes: one, or several that shall share nodes, as an aircraft through the air of several places.
+        bands: at least one band.
+        rtol: what rays that were not used to choose nodes may err at most, as a share of their in-band radiance,
+            against bins of 50 cm-1 with 12 quantiles (32 where bands are narrow); those fainter than a thousandth of
+            the brightest do not count, and light inside plumes, which is seen once it is scattered or reflected, may
+            err by three times that.
+
+    Returns:
+        Nodes with `Nodes.error`: what such rays err at most. Those they are compared with if none of fewer do; gray
+        ones where nothing depends on the wavenumber. Choices are kept, on disk, too.
+
+    Raises:
+        ValueError: an rtol that is not > 0, no scene, values that are not known (inside `jax.jit`), a gas with values
+            for given nodes, as `CorrelatedK`, or as `Scene.checks`.
+    """
+    if not (np.isfinite(rtol) and rtol > 0):
+        raise ValueError(f"optimal_nodes: got rtol {rtol}, expected a number > 0")
+    several, wanted = (scenes,) if isinstance(scenes, Scene) else tuple(scenes), as_bands(bands)
+    if not several or not all(isinstance(scene, Scene) for scene in several):
+        raise ValueError(f"optimal_nodes: got {scenes!r}, expected one Scene or several")
+    if is_traced(several):
+        raise ValueError("optimal_nodes: got values that are not known yet, expected a call outside of transformations")
+    for scene in several:
+        require(scene.checks())
+        if any(plume.has_quantiles for plume in scene.plumes):
+            raise ValueError("optimal_nodes: got a gas with values for given nodes, expected one for any nodes")
+    if not any(scene.has_spectrum for scene in several) and all(band.response is None for band in wanted):
+        return gray_nodes(wanted)
+    asked = (jax.tree.structure(several), str(wanted), fingerprint(several), float(rtol))
+    return remembered(_held, asked, lambda: _choice(several, wanted, rtol, asked), KEPT)
+
+
+_held: dict[tuple, Nodes] = {}
+
+
+def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, asked: tuple) -> Nodes:
+    """The nodes as an earlier process chose them, or chosen now."""
+    key, own, fine = f"optimal nodes {asked}", is_own(asked[0]), finest_nodes(bands)
+    found = kept(key) if own else None
+    if found is None:
+        chosen = _chosen([_spectra(with_few_cells(scene), fine, as_float(_draws())) for scene in scenes], fine, rtol)
+        if own:
+            keep(key, json.dumps([each.tolist() for each in chosen]).encode())
+    else:
+        place, factor, error = json.loads(found)
+        chosen = np.array(place, int), np.array(factor), np.array(error)
+    return _taken(fine, *chosen)
+
+
+def _taken(fine: Nodes, place: np.ndarray, factor: np.ndarray, error: np.ndarray) -> Nodes:
+    """Some of the nodes, with factors on their weights."""
+    weight = as_float(np.asarray(fine.weight, np.float64)[place] * factor)
+    return with_error(told_apart(dataclasses.replace(some_of(fine, place), weight=weight)), error)
+
+
+def _draws() -> np.ndarray:
+    """Even numbers in [0, 1) [ray, 6]: multiples of powers of the root of x^7 = x + 1 (Roberts 2018)."""
+    root = 1.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / 7)
+    return ((np.arange(RAYS)[:, None] + 1) * root ** -(1.0 + np.arange(6))) % 1
+
+
+class Spectra(eqx.Module):
+    """What may be seen of a scene: without plumes, and along rays from outside, through the air, and from inside."""
+
+    fixed: Float[Array, "spectrum node"]
+    outside: Float[Array, "kind ray node"]
+    inside: Float[Array, "kind ray node"]
+
+
+@program
+def _spectra(scene: Scene, nodes: Nodes, draws: Float[Array, "ray 6"]) -> Spectra:
+    lit = on_nodes(scene, nodes)
+    flat = (nodes.upper - nodes.lower)[None]
+    behind = jnp.concatenate([flat, *_shining(scene, lit)])
+    seen = [behind, lit.dimmed_by_air(behind), lit.through_air(jnp.zeros_like(flat))]
+    if lit.medium is None:
+        none = jnp.zeros((0, RAYS, nodes.count), flat.dtype)
+        return Spectra(jnp.concatenate(seen), none, none)
+    each = [_through(scene, k, draws) for k in range(len(scene.plumes))]
+    inside = jax.tree.map(lambda *all: jnp.concatenate(all), *each)
+    corners = scene.extent()
+    away = jnp.sqrt(jnp.sum((corners.max(axis=0) - corners.min(axis=0)) ** 2))
+    outside = Rays(inside.origin - away * inside.direction, inside.direction)
+
+    def along(rays: Rays) -> list[Array]:
+        assert lit.medium is not None
+        far, dark = jnp.full(rays.count, jnp.inf, flat.dtype), jnp.zeros((rays.count, nodes.count), flat.dtype)
+        passed = lit.medium.transmittance(rays, far)
+        return [lit.medium.radiance(rays, far, dark), *(passed * own[None] for own in behind)]
+
+    dimmed = [lit.dimmed_by_air(radiance) for radiance in along(outside)]
+    return Spectra(jnp.concatenate(seen), jnp.stack(dimmed), jnp.stack(along(inside)))
+
+
+def _shining(scene: Scene, lit: Lit) -> list[Float[Array, "_spectrum node"]]:
+    """Spectra of skin as warm as its mean and its warmest, and of lights from above, below and the side."""
+    found = []
+    if scene.skin is not None:
+        warm = jnp.stack([scene.skin.temperature.mean(), scene.skin.temperature.max()])
+        found.append(jax.vmap(lambda t: band_radiance(t, lit.nodes))(warm))
+    omega = jnp.asarray([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], lit.nodes.weight.dtype)
+    found += [source.beam(omega[0])[None] for source in delta_sources(lit.scene.sources)]
+    lights = [*area_sources(lit.scene.sources), *backgrounds(lit.scene.sources)]
+    lights += [] if lit.scene.background is None else [lit.scene.background]
+    return [*found, *(light.arriving(omega) for light in lights)]
+
+
+def _through(scene: Scene, plume: int, draws: Float[Array, "ray 6"]) -> Rays:
+    """Rays that begin inside a plume."""
+    pieces = scene.plumes[plume].pieces(as_float(HOT))
+    share = pieces.power / jnp.sum(pieces.power) + 1 / pieces.power.size
+    place = jnp.searchsorted(jnp.cumsum(share), draws[:, 0] * jnp.sum(share))
+    place = jnp.minimum(place, pieces.power.size - 1)
+    local = pieces.centre[:, place] + (2 * draws[:, 1:4].T - 1) * pieces.half[:, place]
+    cosine = 2 * draws[:, 4] - 1
+    axial = jnp.sign(cosine) * (1 - ALONG * cosine**2)
+    cosine = jnp.where(np.arange(RAYS) % 2 == 0, cosine, axial)
+    turn, sine = 2 * np.pi * draws[:, 5], jnp.sqrt(jnp.maximum(1 - cosine**2, 0))
+    direction = jnp.stack([sine * jnp.cos(turn), sine * jnp.sin(turn), cosine], axis=1)
+    return Rays(matmul(local.T, pieces.frame), matmul(direction, about_plumes(scene)))
+
+
+def _chosen(spectra: Sequence[Spectra], fine: Nodes, rtol: float) -> Chosen:
+    """Which nodes, with which factors, and what they err [band]."""
+    known = np.arange(RAYS) % 3 != 2  # of each plume
+    share = np.asarray(fine.response, np.float64) * np.asarray(fine.weight, np.float64)
+    used = [own > 0 for own in share]
+    own, others = [], []
+    for of_band, some in zip(share, used, strict=True):
+        each = [_of_band(seen, known, of_band, some) for seen in spectra]
+        own.append(_independent(np.concatenate([x for x, _ in each]), TOLERANCES[-1]))
+        others.append(np.concatenate([x for _, x in each]))
+
+    def err(factor: np.ndarray) -> np.ndarray:
+        each = [np.abs(x @ factor[some] - x.sum(axis=1)).max() for x, some in zip(others, used, strict=True)]
+        return np.array(each)
+
+    for tolerance in TOLERANCES:
+        factor = _factors([_independent(x, tolerance) for x in own], used)
+        if factor is not None and np.all(err(factor) <= rtol):
+            break
+    else:
+        factor = np.ones(fine.count)
+    return np.flatnonzero(factor), factor[factor > 0], err(factor)
+
+
+def _of_band(seen: Spectra, known: np.ndarray, share: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shares that nodes of a band have in radiances [spectrum, node]: in those of the set, and in those to agree."""
+    fixed, outside, inside = (
+        np.asarray(x, np.float64)[..., some] * share[some] for x in (seen.fixed, seen.outside, seen.inside)
+    )
+    known = np.resize(known, outside.shape[1])
+    own, others = [_normal(fixed)], [_normal(fixed)]
+    for kinds, counts in ((outside, 1.0), (inside, INSIDE)):
+        for kind in kinds:
+            total = kind[~known].sum(axis=1)
+            own.append(counts * _normal(kind[known]))
+            others.append(counts * _normal(kind[~known][total > FAINT * total.max()]))
+    return np.concatenate(own), np.concatenate(others)
+
+
+def _normal(rows: np.ndarray) -> np.ndarray:
+    total = rows.sum(axis=1)
+    return rows[total > 0] / total[total > 0, None]
+
+
+def _independent(rows: np.ndarray, tolerance: float) -> np.ndarray:
+    """Combinations of rows, by singular vectors, without those of values below a share of the largest."""
+    found = rows[:0]
+    for begin in range(0, len(rows), BLOCK):
+        block = np.concatenate([found, rows[begin : begin + BLOCK]])
+        square, vector = np.linalg.eigh(block @ block.T)
+        found = vector[:, square > tolerance**2 * square[-1]].T @ block
+    return found
+
+
+def _factors(rows: Sequence[np.ndarray], used: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Factors >= 0 on nodes, most of them 0, that leave the sums of rows of every band as they are; None if none."""
+    from scipy.optimize import nnls  # which takes long to import
+
+    whole = np.zeros((sum(map(len, rows)), used[0].size))
+    begin = 0
+    for own, some in zip(rows, used, strict=True):
+        whole[begin : begin + len(own), some] = own
+        begin += len(own)
+    try:
+        return nnls(whole, whole.sum(axis=1), maxiter=20 * len(whole))[0]
+    except RuntimeError:  # as many steps did not do
+        return None
