@@ -29,6 +29,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from jaxir._math import matmul
 
 START = 1e-5  # damping at first, in units of the largest squared singular value
+FLAT = 1e-3  # of the largest norm of a column: of a parameter that does less, a step would be all there is
 LEAST_RATIO = 1e-3  # of the fall of the loss to the predicted one, for a step to be taken
 NEARLY = 10  # tolerances from the solution within which a step that gains nothing tells rounding, and is the last
 
@@ -55,8 +56,9 @@ class _State(eqx.Module):
 
 
 def _divisor(size: Float[Array, " p"]) -> Float[Array, " p"]:
-    """Norms of columns, 1 for those without."""
-    return jnp.where(size > 0, size, 1)
+    """Norms of columns, and a share of the largest of those that are less; 1 where there are none."""
+    least = FLAT * jnp.max(size, initial=0)
+    return jnp.where(least > 0, jnp.maximum(size, least), 1)
 
 
 class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):

@@ -46,7 +46,8 @@ def plume_intensity(
     Raises:
         ValueError: the scene has skin or particles; values are out of range.
 
-    Differentiable in every radiometric leaf, and in the place and shape of a jet; not in a grid or the aspect.
+    Differentiable in every radiometric leaf, and in the place and shape of a jet; not in a grid or the aspect. Of one
+    jet alone what its ends do is in the slopes; of several plumes, with rays that stay, it is not, as in images.
     """
     if scene.skin is not None or scene.scatters:
         raise ValueError("scene: got skin or particles, expected plumes of gas alone")
@@ -59,6 +60,7 @@ def plume_intensity(
 def _integrated(scene: Scene, nodes: Nodes, frame: Array, rays: int) -> Array:
     lit, extent = on_nodes(scene, nodes), scene.extent()
     held = lax.stop_gradient(extent)
+    extent = extent if len(scene.plumes) == 1 else held  # a box of several does not move as each of them does
     low, high = (_corner(extent, which(held, axis=0)) for which in (jnp.argmin, jnp.argmax))
     through, area = entering(low, high, frame[2], rays)
     far = jnp.full(through.count, jnp.inf, area.dtype)

@@ -29,7 +29,7 @@ from jaxir.fit import (
 from jaxir.fit._drift import density_ratio, effective_share
 from jaxir.fit._surrogate import applies, predicted_by
 from jaxir.transport import trace
-from tests.fit.slabs import DEPTH, PIXEL, slab
+from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, looked_at, slab
 from tests.scenes import plate
 
 THREE = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
@@ -175,6 +175,15 @@ def test_fewer_rays_stand_for_all_that_meet_a_jet():
     every = look(problem, there)
     assert stay(problem, there).distance < 2 * THERE  # by the slopes of all rays
     assert float(found.chi_squared) == pytest.approx(float(every.loss), abs=0.05)  # of 6 degrees of freedom
+
+
+@pytest.mark.parametrize("start", [(990.0, 20.0), (1100.0, 12.0), (900.0, 30.0)])
+def test_a_parameter_that_hardly_acts_at_the_start_stops_no_other(start):
+    """Through a thick slab the depth acts by exp(-20): steps in it were all there was, and none was taken."""
+    bands = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
+    found = solve(prepare(slab(*start), [TEMPERATURE, DEPTH], [looked_at(slab(1000.0, 10.0), bands)]))
+    assert bool(found.converged)
+    assert float(found.uncertainty.value[0]) * start[0] == pytest.approx(1000.0, abs=0.5)
 
 
 @pytest.mark.parametrize(

@@ -310,3 +310,13 @@ def test_only_lambert_is_diffuse():
     assert Lambert(0.5).diffuse and BrdfPerFace([Lambert(0.5), Lambert(0.1)], [0, 1]).diffuse
     assert not BrdfPerFace([Lambert(0.5), paint], [0, 1]).diffuse
     assert not any(brdf.diffuse for brdf in (paint, RoughConductor(5.0, 30.0, 0.3), BrdfTable(np.full((3, 3, 3), 0.1))))
+
+
+def test_a_measured_table_sends_from_the_normal_what_it_absorbs_there():
+    """There is no azimuth at the normal: what a table says of one is averaged, or emission knows another than light."""
+    noisy = 0.5 / np.pi * (1 + 0.5 * np.random.default_rng(0).uniform(-1, 1, (4, 4, 5)))
+    brdf, up = BrdfTable(noisy).at(jnp.asarray(0)), jnp.asarray([0.0, 0.0, 1.0])
+    for down in (0.9, 0.4):
+        seen = [brdf.eval(up, towards(down, turn), up) for turn in (0.0, 2.0)]
+        sent = [brdf.eval(towards(down, turn), up, up) for turn in (0.0, 2.0)]
+        np.testing.assert_allclose([*seen, *sent], np.broadcast_to(seen[0], (4, 1)), rtol=1e-5)

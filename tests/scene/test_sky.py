@@ -150,3 +150,12 @@ def test_gradients_of_sun_and_sky_are_finite():
 
     slope = jax.jit(jax.grad(total))(jnp.asarray([10.0, 40.0]))
     assert np.isfinite(slope).all() and np.all(np.asarray(slope) != 0)
+
+
+def test_the_order_of_sun_and_sky_does_not_matter():
+    """The ground of a sky before the Sun stayed dark."""
+    sun, sky = jaxir.Sun(35.0, 40.0), jaxir.ClearSky(ground_emissivity=0.5)
+    first, last = (jaxir.Scene(plate(), sources=lights, atmosphere=AIR).sources for lights in ((sun, sky), (sky, sun)))
+    for one, other in zip(jax.tree.leaves(first), jax.tree.leaves(last[::-1]), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert last[0].sun is not None

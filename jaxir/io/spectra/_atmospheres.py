@@ -97,9 +97,10 @@ def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAt
         The path, in ascending wavenumber; without path radiance where no file holds one.
 
     Raises:
-        ValueError: no header line that begins with FREQ or WAVLEN MCRN, no -9999 at the end, a line that is cut or not
-            numeric, wavenumbers that do not change in one direction, a transmittance outside [0, 1], a negative
-            radiance; names file and line. Files that overlap, or only some of which hold path radiances; names both.
+        ValueError: no header line that begins with FREQ or WAVLEN MCRN, values that do not end below the names of their
+            columns, no -9999 at the end, a line that is cut or not numeric, wavenumbers that do not change in one
+            direction, a transmittance outside [0, 1], a negative radiance; names file and line. Files that overlap, or
+            only some of which hold path radiances; names both.
     """
     files = [Path(path)] if isinstance(path, (str, os.PathLike)) else [Path(one) for one in path]
     if not files:
@@ -111,6 +112,7 @@ def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAt
         if total is None:
             raise ValueError(f"{file}:{lines.header}: got no column {' or '.join(_TRANSMITTANCE)}, expected one")
         added = [name for name in _ADDED if lines.has(name)]
+        lines.require_below([lines.axis, total, *added])
         table = _Table(file)
         for number, line in lines.rows():
             wavenumber, width = lines.place(table, number, line)
@@ -140,6 +142,7 @@ def load_tape7_sun(path: str | os.PathLike) -> TabulatedSpectrum:
     lines = _Tape7(file)
     if not lines.has(_SUNLIGHT):
         raise ValueError(f"{file}:{lines.header}: got no column {_SUNLIGHT}, expected MODTRAN's tape7 of IEMSCT 3")
+    lines.require_below([lines.axis, _SUNLIGHT])
     table = _Table(file)
     for number, line in lines.rows():
         wavenumber, width = lines.place(table, number, line)
@@ -189,6 +192,7 @@ def _both(wavenumber: float) -> str:
 _SUNLIGHT = "SOL TR"
 _TRANSMITTANCE = ("TOT TRANS", "COMBIN", "TRANS")
 _ADDED = ("PTH THRML", "SOL SCAT")
+_ASIDE = 3  # characters by which a value may end beside its column's name; versions differ by one or two
 _WAVENUMBER, _WAVELENGTH = "FREQ", "WAVLEN MCRN"
 
 
@@ -227,10 +231,29 @@ class _Tape7:
         return match.end() if match else None
 
     def cell(self, line: str, name: str) -> str:
-        """The word that ends nearest to a column's end, up to three characters away; versions differ by one or two."""
+        """The value of a column; "" where it is blank."""
+        word = self._word(line, name)
+        return "" if word is None else line[slice(*word)]
+
+    def _word(self, line: str, name: str) -> tuple[int, int] | None:
+        """Where the word is that ends nearest to a column's end, up to `_ASIDE` away."""
         end = self._end(name) or 0
-        words = sorted((abs(word.end() - end), word.group()) for word in re.finditer(r"\S+", line))
-        return words[0][1] if words and words[0][0] <= 3 else ""
+        words = sorted((abs(word.end() - end), word.span()) for word in re.finditer(r"\S+", line))
+        return words[0][1] if words and words[0][0] <= _ASIDE else None
+
+    def require_below(self, names: Sequence[str]) -> None:
+        """Up to the last of columns `names` every value ends below a name, and none of theirs is another's, too."""
+        head = self.lines[self.header - 1]
+        ends, last = np.array([word.end() for word in re.finditer(r"\S+", head)]), max(self._end(n) or 0 for n in names)
+        for number, line in self.rows():
+            own = [word for word in (self._word(line, name) for name in names) if word]
+            every = (word.end() for word in re.finditer(r"\S+", line))
+            aside = any(np.min(np.abs(ends - end)) > _ASIDE for end in every if end <= last + _ASIDE)
+            if aside or len(own) != len(set(own)) or "\t" in head + line:
+                raise ValueError(
+                    f"{self.file}:{number}: got values that do not end below the names of their columns, expected "
+                    "them in columns as MODTRAN writes them, without tabs"
+                )
 
     def rows(self) -> Iterator[tuple[int, str]]:
         """Number and text of every line of values."""

@@ -39,7 +39,8 @@ class BrdfTable(AbstractBrdf):
         Args:
             value: [theta_i, theta_o, azimuth], with a trailing [node] and then a leading [face] axis if wanted, at
                 least 2 points an angle [sr-1]. The mean of the table and of itself with theta_i and theta_o exchanged
-                is kept: reciprocity is a law, what breaks it in a measurement is noise.
+                is kept, and over the azimuth where one of them is 0 and there is no azimuth: these are laws, what
+                breaks them in a measurement is noise.
 
         Raises:
             ValueError: another number of axes, or different numbers of theta_i and theta_o.
@@ -54,7 +55,10 @@ class BrdfTable(AbstractBrdf):
                 f"BrdfTable.value: got shape {np.shape(value)}, expected ([face,] theta, theta, azimuth[, node]) with "
                 "as many theta_i as theta_o and at least 2 points an angle"
             )
-        self.value = (array + jnp.swapaxes(array, 1, 2)) / 2
+        array = (array + jnp.swapaxes(array, 1, 2)) / 2
+        normal = np.minimum(*np.indices(array.shape[1:3]))[None, :, :, None, None] == 0
+        even = einsum("fijkn,k->fijn", array, as_float(_trapezoid(array.shape[3])))
+        self.value = jnp.where(normal, even[:, :, :, None], array)
 
     @property
     def diffuse(self) -> bool:

@@ -146,15 +146,19 @@ def backgrounds(lights: tuple[AbstractLight, ...]) -> tuple[AbstractBackground, 
 
 
 def within_scene(sources: tuple[Any, ...], background: Any, atmosphere: Any) -> tuple[tuple[Any, ...], Any]:
-    """Lights as they are in a scene, see `AbstractLight.within`, sources in order; what stands for a light stays."""
+    """Lights as they are in a scene, see `AbstractLight.within`; what stands for a light stays.
 
-    def own(light: Any, before: tuple[Any, ...]) -> Any:
-        return light.within(atmosphere, before) if isinstance(light, AbstractLight) else light
+    Backgrounds, which show what sources light, come after these.
+    """
 
-    found: tuple[Any, ...] = ()
-    for source in sources:
-        found += (own(source, found),)
-    return found, own(background, found)
+    def own(light: Any, others: tuple[Any, ...]) -> Any:
+        return light.within(atmosphere, others) if isinstance(light, AbstractLight) else light
+
+    around = [isinstance(source, AbstractBackground) for source in sources]
+    found = [source if last else own(source, ()) for source, last in zip(sources, around, strict=True)]
+    lights = tuple(source for source, last in zip(found, around, strict=True) if not last)
+    found = [own(source, lights) if last else source for source, last in zip(found, around, strict=True)]
+    return tuple(found), own(background, lights)
 
 
 def towards(offset: Float[Array, " 3"]) -> tuple[Float[Array, " 3"], Float[Array, ""]]:

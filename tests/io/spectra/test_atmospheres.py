@@ -73,6 +73,18 @@ def test_tape7_of_other_versions(tmp_path):
     assert np.allclose(air.wavenumber, WAVENUMBER) and np.allclose(air.transmittance, TRANSMITTANCE, atol=1e-6)
 
 
+@pytest.mark.parametrize("between", ["\t", " "])
+@pytest.mark.parametrize("total", ["TOT_TRANS", "TRANS"])
+def test_values_that_do_not_lie_below_their_columns_are_refused(total, between, tmp_path):
+    """The thermal radiance was read as the transmittance, or radiances as blank columns."""
+    rows = [between.join([f"{nu}", "0.5", "1.0E-7", "5.0E-8"]) for nu in range(2000, 2020, 5)]
+    head = between.join(["FREQ", total, "PTH_THRML", "SOL_SCAT"])
+    file = tmp_path / "case.tp7"
+    file.write_text("\n".join(["card", head, *rows, "-9999."]))
+    with pytest.raises(ValueError, match="case.tp7:3: got values that do not end below the names of their columns"):
+        load_tape7(file)
+
+
 def cut(lines, low, high):
     """The file of a part of the range."""
     begin = 5 if "CM-1" in lines[4] else 4
