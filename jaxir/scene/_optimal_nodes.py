@@ -51,9 +51,9 @@ Chosen = tuple[np.ndarray, np.ndarray, np.ndarray]  # which nodes, their factors
 def optimal_nodes(scenes: Scene | Sequence[Scene], bands: Band | Sequence[Band], rtol: float = 0.02) -> Nodes:
     """The least spectral nodes with which all that is seen of scenes is right within `rtol`.
 
-    Where hot gas shines through cold air, a twentieth or less of those of `scene_nodes`, at the same error: an exhaust
-    of 2000 K in three bands takes about 90 in place of 1785. Each stands for what others bring, so that by themselves
-    they are no spectrum. They fit these scenes: choose them anew for others. Derivatives are those with the nodes held.
+    Where hot gas shines through cold air a twentieth of those of `scene_nodes`, at the same error: an exhaust of 2000 K
+    in three bands takes some 70 to 90 in place of 1785. Each stands for what others bring, so that by themselves they
+    are no spectrum. They fit these scenes: choose them anew for others. Derivatives are those with the nodes held.
 
     Args:
         scenes: one, or several that shall share nodes, as an aircraft through the air of several places.
