@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -47,12 +48,13 @@ def read_obj(file: Path) -> FileMesh:
             words = written.split()
             if not words:
                 continue
+            rest = list(takewhile(lambda word: not word.startswith("#"), words[1:]))  # a comment may follow
             try:
                 if words[0] == "v":
-                    vertices.append(_vertex(words[1:]))
+                    vertices.append(_vertex(rest))
                 elif words[0] == "f":
-                    polygons.append([_index(word, len(vertices)) for word in words[1:]])
-                    if len({"/" in word for word in words[1:]}) > 1:
+                    polygons.append([_index(word, len(vertices)) for word in rest])
+                    if len({"/" in word for word in rest}) > 1:
                         raise ValueError("expected corners of one form")
                     lines.append(line)
                     objects.append(current)

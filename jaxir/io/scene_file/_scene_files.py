@@ -2,7 +2,8 @@
 
 Every table describes one object: `type` names the class or function, the other keys are its parameters. The parts:
 
-    bands         ["MWIR", "LWIR"], with bands of one's own as tables; or a table whose type is `resolved_nodes`
+    bands         ["MWIR", "LWIR"], with bands of one's own as tables; or a table whose type is `resolved_nodes`,
+                  `optimal_nodes`, `gray_nodes` or `k_nodes`
     [skin]        mesh (`load_mesh`), temperature, brdf, and [[skin.parts]] that differ
     [plumes]      GridPlume or JetPlume, with a gas; [[plumes]] for several
     [[sources]]   lights
@@ -21,6 +22,7 @@ Paths are relative to the folder of the file.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,7 +58,7 @@ from jaxir.io.scene_file._vocabulary import (
     k_nodes,
 )
 from jaxir.optics.spectrum import Band, Nodes, as_nodes, gray_nodes, resolved_nodes
-from jaxir.scene import Scene, Skin
+from jaxir.scene import Scene, Skin, optimal_nodes
 from jaxir.scene.plume import AbstractPlume, GridPlume, resolve_jet
 from jaxir.transport import Method
 
@@ -235,10 +237,12 @@ def _read(whole: Entry) -> SceneFile:
     except ValueError as error:
         raise whole.failed(error) from error
     method = _method(parts["method"], scene) if "method" in parts else None
+    if _few(parts["bands"]) and "over" in parts:
+        raise parts["bands"].wrong("bands, or nodes that do not depend on the scene, beside over")
     return SceneFile(
         file=whole.file,
         scene=scene,
-        bands=bands,
+        bands=construct(parts["bands"], optimal_nodes, READERS, scenes=scene) if _few(parts["bands"]) else bands,
         cameras=_cameras(parts["camera"]) if "camera" in parts else {},
         method=method,
         render=arguments(parts["render"], render, RENDER_READERS, ELSEWHERE) if "render" in parts else {},
@@ -248,12 +252,29 @@ def _read(whole: Entry) -> SceneFile:
     )
 
 
+FEW = "optimal_nodes"
+NODES: dict[str, Callable] = {
+    "resolved_nodes": resolved_nodes,
+    FEW: optimal_nodes,
+    "gray_nodes": gray_nodes,
+    "k_nodes": k_nodes,
+}
+
+
 def _bands(entry: Entry) -> Nodes | tuple[Band, ...]:
+    """Bands or nodes; bands where the scene that is still to be made decides, see `_few`."""
     if isinstance(entry.value, list):
         return tuple(band_list(entry))
     if not isinstance(entry.value, dict):
         raise entry.wrong("a list of bands, or a table of spectral nodes")
-    return build(entry, {"resolved_nodes": resolved_nodes, "gray_nodes": gray_nodes, "k_nodes": k_nodes}, READERS)
+    if _few(entry):
+        return tuple(band_list(entry.only(["type", "bands", "rtol"], ["bands"])["bands"]))
+    return build(entry, NODES, READERS)
+
+
+def _few(entry: Entry) -> bool:
+    """Whether the fewest nodes for the scene are asked for."""
+    return isinstance(entry.value, dict) and entry.value.get("type") == FEW
 
 
 def _plumes(entry: Entry) -> tuple[tuple[AbstractPlume, ...], tuple[str, ...]]:

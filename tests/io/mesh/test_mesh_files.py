@@ -108,9 +108,10 @@ def test_a_missing_package_is_named(tmp_path, monkeypatch):
         b"f 1 2 3\n" + CORNERS,
         CORNERS + b"f 1 \\\n2 \\\r\n3\n",
         b"# of C:\\meshes\\\n" + CORNERS + b"f 1 2 3\n",
+        CORNERS.replace(b"0\nv", b"0 # a corner\nv") + b"f 1 2 3 # the face\n",
         CORNERS.replace(b"0\nv", b"0 1\nv") + b"v 9 9 9\nf -4 -3 -2\nv 8 8 8\n",
     ],
-    ids=["byte order mark", "vertices after", "continued", "comment", "weights"],
+    ids=["byte order mark", "vertices after", "continued", "comment", "comments behind", "weights"],
 )
 def test_a_triangle_however_obj_writes_it(content, tmp_path):
     (tmp_path / "a.obj").write_bytes(content)

@@ -246,6 +246,35 @@ gas = { type = "CorrelatedK", tables = { path = "k.npz" }, pressure = 1e5, mole_
 """
 
 
+FEW = """
+bands = { type = "optimal_nodes", bands = ["MWIR"], rtol = 0.05 }
+[plumes]
+type = "GridPlume"
+grid = { origin = [0, -0.5, -0.5], spacing = [0.4, 1, 1], shape = [1, 1, 1] }
+temperature = 900
+gas = { type = "NarrowBandGas", pressure = 5e4, h2o = 0.1, co2 = 0.1 }
+[atmosphere]
+type = "StandardAtmosphere"
+sensor_altitude = 0
+target_altitude = 0
+distance = 5e3
+"""
+
+
+def test_few_nodes_are_chosen_for_the_scene_of_the_file(tmp_path):
+    read = load_scene(write_scene(tmp_path, FEW))
+    nodes = jaxir.optimal_nodes(read.scene, jaxir.MWIR, 0.05)
+    for held, wanted in zip(jax.tree.leaves(read.bands), jax.tree.leaves(nodes), strict=True):
+        np.testing.assert_array_equal(held, wanted)
+    assert f"bands: MWIR on {nodes.count} nodes" in read.describe() and nodes.count < 60
+    for wrong, message in (
+        (FEW.replace("0.05 }", "0 }"), "bands: optimal_nodes: got rtol 0.0, expected a number > 0"),
+        (FEW + '[over]\n"plumes.temperature" = [800, 900]\n', "bands: got .* expected bands, or nodes .* beside over"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            load_scene(write_scene(tmp_path, wrong))
+
+
 def test_gas_from_tables_of_cross_sections(tmp_path):
     nodes = jaxir.resolved_nodes(jaxir.Band("b", 4.2, 4.4), width=100.0, points=2, pair_points=0)
     sigma = np.full((2, 1, 1, nodes.count), 1e-22)
