@@ -107,8 +107,10 @@ def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, ask
 
 def _taken(fine: Nodes, place: np.ndarray, factor: np.ndarray, error: np.ndarray) -> Nodes:
     """Some of the nodes, with factors on their weights."""
+    order, apart = told_apart(np.asarray(fine.response)[:, place])
+    place, factor = place[order], factor[order] * apart
     weight = as_float(np.asarray(fine.weight, np.float64)[place] * factor)
-    return with_error(told_apart(dataclasses.replace(some_of(fine, place), weight=weight)), error)
+    return with_error(dataclasses.replace(some_of(fine, place), weight=weight), error)
 
 
 def _draws() -> np.ndarray:

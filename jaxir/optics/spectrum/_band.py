@@ -283,17 +283,18 @@ def some_of(nodes: Nodes, place: np.ndarray) -> Nodes:
     )
 
 
-def told_apart(nodes: Nodes) -> Nodes:
-    """The same nodes, so that values for bands are not taken for values for nodes where there are as many.
+def told_apart(response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Order of nodes, by their response [band, node], and factors on weights, so that none is taken for a band.
 
-    Where every band has a node of its own, they are in the order of the bands; else there is one more, of weight 0.
+    Where there are as many nodes as bands, values for bands are values for nodes: where every band has a node of its
+    own, they take the order of the bands; else there is one more, of weight 0. On the host.
     """
-    inside = np.asarray(nodes.response) > 0
-    if len(inside) != nodes.count:
-        return nodes
+    inside, every = response > 0, np.arange(response.shape[1])
+    if len(inside) != every.size:
+        return every, np.ones(every.size)
     if (inside.sum(axis=0) == 1).all() and (inside.sum(axis=1) == 1).all():
-        return some_of(nodes, np.argmax(inside, axis=1))
-    return padded_nodes(nodes, nodes.count + 1)
+        return np.argmax(inside, axis=1), np.ones(every.size)
+    return np.append(every, every[-1]), np.append(np.ones(every.size), 0.0)
 
 
 def as_nodes(bands: Nodes | Band | Sequence[Band]) -> Nodes:

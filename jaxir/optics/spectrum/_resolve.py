@@ -102,7 +102,7 @@ def resolved_nodes(
     response = _in_bins(bands, edges, lower, upper, Band.mean_response)
     some = response.any(axis=0) if response.any() else slice(None)
     each = lower[some], upper[some], response[:, some]
-    return told_apart(_with_quantiles(*each, points, pair_points, overlap, [band.name for band in bands]))
+    return _with_quantiles(*each, points, pair_points, overlap, [band.name for band in bands])
 
 
 def _in_bins(
@@ -175,11 +175,13 @@ def _with_quantiles(
     touched = np.any((low < limits[:, 1]) & (high > limits[:, 0]), axis=1)
     sets = [pair if two else single for two in touched.tolist()]
     repeat = np.repeat(np.arange(lower.size), [weight.size for _, weight in sets])
+    order, factor = told_apart(response[:, repeat])
+    repeat = repeat[order]
     return build_nodes(
         lower=lower[repeat],
         upper=upper[repeat],
-        g=np.concatenate([g for g, _ in sets]),
-        weight=np.concatenate([weight for _, weight in sets]),
+        g=np.concatenate([g for g, _ in sets])[order],
+        weight=np.concatenate([weight for _, weight in sets])[order] * factor,
         response=response[:, repeat],
         names=names,
     )
