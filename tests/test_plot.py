@@ -98,6 +98,9 @@ def test_a_spectrum_integrates_to_the_band():
     assert np.isnan(density).sum() == 2  # the gap between the bands
     with pytest.raises(ValueError, match="radiance 'x': got shape"):
         plot.spectrum(nodes, {"x": value[:-1]})
+    others = dataclasses.replace(nodes, weight=2 * nodes.weight)
+    with pytest.raises(ValueError, match="nodes: got weights of 2 to 2 in bins, expected 1 in each"):
+        plot.spectrum(others, {"x": value})
 
 
 def test_error_bars_are_as_high_as_the_total():

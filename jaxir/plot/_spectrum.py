@@ -23,17 +23,21 @@ def spectrum(nodes: Nodes, radiance: Mapping[str, Any]) -> Any:
 
     Raises:
         ImportError: matplotlib is not installed.
-        ValueError: a radiance of another shape.
+        ValueError: a radiance of another shape; nodes that stand for others, as those of `optimal_nodes`.
     """
     figure = figure_of(8, 4)
     axis = figure.subplots()
     lower, upper = np.asarray(nodes.lower, np.float64), np.asarray(nodes.upper, np.float64)
     bins, place = np.unique(np.stack([lower, upper], axis=1), axis=0, return_inverse=True)
+    weight = np.asarray(nodes.weight)
+    whole = np.bincount(place.reshape(-1), weight)
+    if np.any(np.abs(whole - 1) > 1e-3):
+        raise ValueError(f"nodes: got weights of {whole.min():.3g} to {whole.max():.3g} in bins, expected 1 in each")
     for label, value in radiance.items():
         value = np.asarray(value, np.float64)
         if value.shape != lower.shape:
             raise ValueError(f"radiance {label!r}: got shape {value.shape}, expected {lower.shape}, one value per node")
-        total = np.bincount(place.reshape(-1), value * np.asarray(nodes.weight))
+        total = np.bincount(place.reshape(-1), value * weight)
         density = total / (bins[:, 1] - bins[:, 0])
         edges: list[float] = []
         heights: list[float] = []
