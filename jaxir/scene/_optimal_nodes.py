@@ -18,8 +18,8 @@ plumes, and what passes of skin, of every light and of light that is the same at
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -28,14 +28,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
-from jaxir._cache import keep, kept
 from jaxir._math import matmul
 from jaxir._programs import program
 from jaxir.geometry import Rays
-from jaxir.optics.spectrum import Band, Nodes, as_bands, band_radiance, gray_nodes, some_of, told_apart, with_error
-from jaxir.scene._resolution import KEPT, about_plumes, finest_nodes, is_own, with_few_cells
-from jaxir.scene._scene import Lit, Scene, on_nodes
-from jaxir.scene.light import area_sources, backgrounds, delta_sources
+from jaxir.optics.spectrum import Band, Nodes, as_bands, gray_nodes, some_of, told_apart, with_error
+from jaxir.scene._resolution import KEPT, about_plumes, brought, finest_nodes, kept_choice, warmth, with_few_cells
+from jaxir.scene._scene import Scene, on_nodes
 
 TOLERANCES = tuple(10.0 ** (-k / 4) for k in range(5, 21))  # singular values left out, as shares of the largest
 RAYS = 144  # through each plume; every third is not in the set
@@ -93,16 +91,14 @@ _held: dict[tuple, Nodes] = {}
 
 def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, asked: tuple) -> Nodes:
     """The nodes as an earlier process chose them, or chosen now."""
-    key, own, fine = f"optimal nodes {asked}", is_own(asked[0]), finest_nodes(bands)
-    found = kept(key) if own else None
-    if found is None:
-        chosen = _chosen([_spectra(with_few_cells(scene), fine, as_float(_draws())) for scene in scenes], fine, rtol)
-        if own:
-            keep(key, json.dumps([each.tolist() for each in chosen]).encode())
-    else:
-        place, factor, error = json.loads(found)
-        chosen = np.array(place, int), np.array(factor), np.array(error)
-    return _taken(fine, *chosen)
+    fine = finest_nodes(bands)
+
+    def found() -> list[Any]:
+        spectra = [_spectra(with_few_cells(scene), fine, as_float(_draws())) for scene in scenes]
+        return [each.tolist() for each in _chosen(spectra, fine, rtol)]
+
+    place, factor, error = kept_choice("optimal nodes", asked, found)
+    return _taken(fine, np.array(place, int), np.array(factor), np.array(error))
 
 
 def _taken(fine: Nodes, place: np.ndarray, factor: np.ndarray, error: np.ndarray) -> Nodes:
@@ -133,7 +129,9 @@ class Spectra(eqx.Module):
 def _spectra(scene: Scene, nodes: Nodes, draws: Float[Array, "ray 6"]) -> Spectra:
     lit = on_nodes(scene, nodes)
     flat = (nodes.upper - nodes.lower)[None]
-    behind = jnp.concatenate([flat, *_shining(scene, lit)])
+    warm = [] if scene.skin is None else [warmth(scene.skin, nodes)]
+    around = () if lit.scene.background is None else (lit.scene.background,)
+    behind = jnp.concatenate([flat, *warm, *brought((*lit.scene.sources, *around), nodes)])
     seen = [behind, lit.dimmed_by_air(behind), lit.through_air(jnp.zeros_like(flat))]
     if lit.medium is None:
         none = jnp.zeros((0, RAYS, nodes.count), flat.dtype)
@@ -152,19 +150,6 @@ def _spectra(scene: Scene, nodes: Nodes, draws: Float[Array, "ray 6"]) -> Spectr
 
     dimmed = [lit.dimmed_by_air(radiance) for radiance in along(outside)]
     return Spectra(jnp.concatenate(seen), jnp.stack(dimmed), jnp.stack(along(inside)))
-
-
-def _shining(scene: Scene, lit: Lit) -> list[Float[Array, "_spectrum node"]]:
-    """Spectra of skin as warm as its mean and its warmest, and of lights from above, below and the side."""
-    found = []
-    if scene.skin is not None:
-        warm = jnp.stack([scene.skin.temperature.mean(), scene.skin.temperature.max()])
-        found.append(jax.vmap(lambda t: band_radiance(t, lit.nodes))(warm))
-    omega = jnp.asarray([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], lit.nodes.weight.dtype)
-    found += [source.beam(omega[0])[None] for source in delta_sources(lit.scene.sources)]
-    lights = [*area_sources(lit.scene.sources), *backgrounds(lit.scene.sources)]
-    lights += [] if lit.scene.background is None else [lit.scene.background]
-    return [*found, *(light.arriving(omega) for light in lights)]
 
 
 def _through(scene: Scene, plume: int, draws: Float[Array, "ray 6"]) -> Rays:

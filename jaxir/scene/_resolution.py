@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -31,7 +31,8 @@ from jaxir.optics.spectrum import (
     with_error,
 )
 from jaxir.scene._scene import Lit, Scene, on_nodes
-from jaxir.scene.light import area_sources, backgrounds, delta_sources
+from jaxir.scene._skin import Skin
+from jaxir.scene.light import AbstractLight, area_sources, backgrounds, delta_sources
 
 RTOL = 0.02  # of the in-band results of probing rays, against the finest nodes
 *TRIED, FINEST = RESOLUTIONS  # the finest, of 12 quantiles, is what others are compared with
@@ -83,20 +84,33 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
 
 def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:
     """The fewest nodes that do, as an earlier process found or anew."""
-    key, own = f"nodes {asked}", is_own(asked[0])
-    held = kept(key) if own else None
     candidates = _candidates(bands)
-    place, error = _fewest(scene, candidates, finest_nodes(bands)) if held is None else json.loads(held)
-    if held is None and own:
-        keep(key, json.dumps([place, error.tolist()]).encode())
+
+    def found() -> list[Any]:
+        place, error = _fewest(scene, candidates, finest_nodes(bands))
+        return [place, error.tolist()]
+
+    place, error = kept_choice("nodes", asked, found)
     return with_error(candidates[place], np.asarray(error))
 
 
-def is_own(structure: jax.tree_util.PyTreeDef) -> bool:
+def kept_choice(what: str, asked: tuple, find: Callable[[], list[Any]]) -> list[Any]:
+    """What `find` says, or said in an earlier process that was `asked` the same, by a scene's structure first."""
+    key, own = f"{what} {asked}", _is_own(asked[0])
+    held = kept(key) if own else None
+    if held is not None:
+        return json.loads(held)
+    found = find()
+    if own:
+        keep(key, json.dumps(found).encode())
+    return found
+
+
+def _is_own(structure: jax.tree_util.PyTreeDef) -> bool:
     """Whether all parts of a scene are of kinds that this package defines: others may change behind a name."""
     node = structure.node_data()
     own = node is None or node[0].__module__.split(".")[0] in ("jaxir", "builtins")
-    return own and all(is_own(child) for child in structure.children())
+    return own and all(_is_own(child) for child in structure.children())
 
 
 _chosen: dict[tuple, Nodes] = {}
@@ -181,8 +195,7 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
     dark = jnp.zeros((1, nodes.count), nodes.weight.dtype)
     behind, lights = dark, _lights(scene, lit)
     if scene.skin is not None:
-        warm = jnp.stack([scene.skin.temperature.mean(), scene.skin.temperature.max()])
-        behind = jnp.concatenate([dark, jax.vmap(lambda t: band_radiance(t, nodes))(warm)])
+        behind = jnp.concatenate([dark, warmth(scene.skin, nodes)])
     if lit.medium is None:
         return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([behind[1:] if len(behind) > 1 else behind, *lights])))
     frame = about_plumes(scene)
@@ -216,11 +229,21 @@ def about_plumes(scene: Scene) -> Float[Array, "3 3"]:
     return frame_around(axis / jnp.sqrt(jnp.sum(axis**2)))
 
 
+def warmth(skin: Skin, nodes: Nodes) -> Float[Array, "2 node"]:
+    """Blackbodies as warm as skin in the mean and where it is warmest."""
+    warm = jnp.stack([skin.temperature.mean(), skin.temperature.max()])
+    return jax.vmap(lambda t: band_radiance(t, nodes))(warm)
+
+
 def _lights(scene: Scene, lit: Lit) -> list[Float[Array, "_light node"]]:
-    """What lights bring from above, from below and from the side, of those that depend on the wavenumber in a band."""
-    omega = jnp.asarray([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], lit.nodes.weight.dtype)
+    """What lights bring of those that depend on the wavenumber in a band."""
     behind = [(scene.background, lit.scene.background)] if scene.background is not None else []
     both: list[Any] = [*zip(scene.sources, lit.scene.sources, strict=True), *behind]
-    on = tuple(own for given, own in both if given.has_spectrum)
-    found = [source.beam(omega[0])[None] for source in delta_sources(on)]
-    return found + [light.arriving(omega) for light in (*area_sources(on), *backgrounds(on))]
+    return brought(tuple(own for given, own in both if given.has_spectrum), lit.nodes)
+
+
+def brought(lights: tuple[AbstractLight, ...], nodes: Nodes) -> list[Float[Array, "_light node"]]:
+    """What lights on the nodes bring from above, from below and from the side."""
+    omega = jnp.asarray([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], nodes.weight.dtype)
+    found = [source.beam(omega[0])[None] for source in delta_sources(lights)]
+    return found + [light.arriving(omega) for light in (*area_sources(lights), *backgrounds(lights))]

@@ -112,9 +112,8 @@ def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAt
         if total is None:
             raise ValueError(f"{file}:{lines.header}: got no column {' or '.join(_TRANSMITTANCE)}, expected one")
         added = [name for name in _ADDED if lines.has(name)]
-        lines.require_below([lines.axis, total, *added])
         table = _Table(file)
-        for number, line in lines.rows():
+        for number, line in lines.rows([lines.axis, total, *added]):
             wavenumber, width = lines.place(table, number, line)
             passed = table.number(number, total, lines.cell(line, total))
             parts = [table.number(number, name, lines.cell(line, name), blank=True) for name in added]
@@ -142,9 +141,8 @@ def load_tape7_sun(path: str | os.PathLike) -> TabulatedSpectrum:
     lines = _Tape7(file)
     if not lines.has(_SUNLIGHT):
         raise ValueError(f"{file}:{lines.header}: got no column {_SUNLIGHT}, expected MODTRAN's tape7 of IEMSCT 3")
-    lines.require_below([lines.axis, _SUNLIGHT])
     table = _Table(file)
-    for number, line in lines.rows():
+    for number, line in lines.rows([lines.axis, _SUNLIGHT]):
         wavenumber, width = lines.place(table, number, line)
         light = table.number(number, _SUNLIGHT, lines.cell(line, _SUNLIGHT))
         table.add(number, wavenumber, 0.0, width * _W_PER_CM2 * light, what="irradiance")
@@ -241,22 +239,21 @@ class _Tape7:
         words = sorted((abs(word.end() - end), word.span()) for word in re.finditer(r"\S+", line))
         return words[0][1] if words and words[0][0] <= _ASIDE else None
 
-    def require_below(self, names: Sequence[str]) -> None:
+    def _require_below(self, number: int, line: str, names: Sequence[str]) -> None:
         """Up to the last of columns `names` every value ends below a name, and none of theirs is another's, too."""
         head = self.lines[self.header - 1]
         ends, last = np.array([word.end() for word in re.finditer(r"\S+", head)]), max(self._end(n) or 0 for n in names)
-        for number, line in self.rows():
-            own = [word for word in (self._word(line, name) for name in names) if word]
-            every = (word.end() for word in re.finditer(r"\S+", line))
-            aside = any(np.min(np.abs(ends - end)) > _ASIDE for end in every if end <= last + _ASIDE)
-            if aside or len(own) != len(set(own)) or "\t" in head + line:
-                raise ValueError(
-                    f"{self.file}:{number}: got values that do not end below the names of their columns, expected "
-                    "them in columns as MODTRAN writes them, without tabs"
-                )
+        own = [word for word in (self._word(line, name) for name in names) if word]
+        every = (word.end() for word in re.finditer(r"\S+", line))
+        aside = any(np.min(np.abs(ends - end)) > _ASIDE for end in every if end <= last + _ASIDE)
+        if aside or len(own) != len(set(own)) or "\t" in head + line:
+            raise ValueError(
+                f"{self.file}:{number}: got values that do not end below the names of their columns, expected "
+                "them in columns as MODTRAN writes them, without tabs"
+            )
 
-    def rows(self) -> Iterator[tuple[int, str]]:
-        """Number and text of every line of values."""
+    def rows(self, names: Sequence[str]) -> Iterator[tuple[int, str]]:
+        """Number and text of every line of values, those of columns `names` below these."""
         length = len(self.lines[self.first].rstrip()) if self.first < len(self.lines) else 0
         for number, line in enumerate(self.lines[self.first :], self.first + 1):
             if line.strip().startswith("-9999"):
@@ -265,6 +262,7 @@ class _Tape7:
                 raise ValueError(
                     f"{self.file}:{number}: got a line of {len(line.rstrip())} characters, expected {length}"
                 )
+            self._require_below(number, line, names)
             yield number, line
         raise ValueError(
             f"{self.file}:{len(self.lines)}: got the end of the file, expected a line with -9999: the file is cut"

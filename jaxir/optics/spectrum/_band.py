@@ -10,6 +10,7 @@ and a gray band is one node of weight 1.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -250,37 +251,22 @@ def with_error(nodes: Nodes, error: np.ndarray) -> Nodes:
 
 def padded_nodes(nodes: Nodes, count: int) -> Nodes:
     """The same nodes and copies of the last with weight 0, `count` together: one program serves several axes."""
-    more = count - nodes.count
-
-    def pad(leaf: Array, axis: int = 0) -> Array:
-        widths = [(0, more if k == axis % leaf.ndim else 0) for k in range(leaf.ndim)]
-        return jax.device_put(np.pad(np.asarray(leaf), widths, mode="edge"))
-
-    return Nodes(
-        lower=pad(nodes.lower),
-        upper=pad(nodes.upper),
-        edge=pad(nodes.edge),
-        g=pad(nodes.g),
-        slot=pad(nodes.slot),
-        weight=jax.device_put(np.pad(np.asarray(nodes.weight), (0, more))),
-        response=pad(nodes.response, -1),
-        names=nodes.names,
+    every = np.arange(count)
+    padded = some_of(nodes, np.minimum(every, nodes.count - 1))
+    weight = np.asarray(padded.weight)
+    return dataclasses.replace(
+        padded, weight=jax.device_put(np.where(every < nodes.count, weight, 0).astype(weight.dtype))
     )
 
 
 def some_of(nodes: Nodes, place: np.ndarray) -> Nodes:
-    """Some nodes, in an order; on the host."""
+    """Nodes by their numbers, without what they err; on the host."""
 
     def of(leaf: Array, axis: int = 0) -> Array:
         return jax.device_put(np.take(np.asarray(leaf), place, axis))
 
-    names = ("lower", "upper", "edge", "g", "slot", "weight")
-    return Nodes(
-        **{name: of(getattr(nodes, name)) for name in names},
-        response=of(nodes.response, 1),
-        names=nodes.names,
-        error=nodes.error,
-    )
+    each = {name: of(getattr(nodes, name)) for name in ("lower", "upper", "edge", "g", "slot", "weight")}
+    return Nodes(**each, response=of(nodes.response, 1), names=nodes.names)
 
 
 def told_apart(response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
