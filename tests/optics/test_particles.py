@@ -1,3 +1,4 @@
+import functools
 import sys
 
 import jax
@@ -6,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 
+from jaxir import _cache
 from jaxir._arrays import enforce
 from jaxir.optics.particle import GrayParticles, Isotropic, Particles, ParticleTable, mie_table, number_density
 from jaxir.optics.spectrum import LWIR, MWIR, Band, gray_nodes, resolved_nodes
@@ -158,6 +160,16 @@ def test_bad_tables_are_refused(table):
             enforce(jnp.zeros(1), with_(**change).checks())
     with pytest.raises(ValueError, match="inside the table"):
         Particles(1.0, table).optics(gray_nodes([Band("outside", 1.0, 2.0)]))
+
+
+def test_what_was_computed_once_is_kept(monkeypatch, tmp_path):
+    monkeypatch.setattr(_cache, "_FOLDERS", [_cache._Folder(tmp_path)])
+    table = functools.partial(mie_table, index=1.5 - 0.1j, wavelength=[1.0, 2.0], spread=0.3, angles=5, sizes=1)
+    first = table(1.0)
+    monkeypatch.setattr(miepython, "efficiencies_mx", None)
+    jax.tree.map(np.testing.assert_array_equal, table(1.0), first)
+    with pytest.raises(TypeError):
+        table(1.1)
 
 
 def test_missing_miepython_is_named(monkeypatch):

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from jaxir._arrays import fingerprint
+from jaxir._cache import keep, kept
 from jaxir.optics.particle._tabulated import ParticleTable
 
 ANGLES = 361  # of a phase function at least
@@ -43,7 +45,8 @@ def mie_table(
         progress: show a bar.
 
     Returns:
-        The table; its cross-sections and volume are means over the distribution.
+        The table; its cross-sections and volume are means over the distribution. What was computed once is kept with
+        the compiled programs.
 
     Raises:
         ImportError: miepython is not installed.
@@ -66,29 +69,56 @@ def mie_table(
     if (angles is not None and angles < 3) or sizes < 1:
         raise ValueError(f"angles, sizes: got {angles}, {sizes}, expected at least 3 and 1")
 
-    count = sizes * FINER if spread > 0 else 1
-    z = 2 * spread + REACH * (2 * (np.arange(count) + 0.5) / count - 1)  # areas weigh as d^2
-    diameters, share = diameter * np.exp(spread * z), np.exp(-z * z / 2) * 2 * REACH / (count * math.sqrt(2 * math.pi))
-    share = share if count > 1 else np.ones(1)
     refraction = np.broadcast_to(refraction, given.shape)
+    diameters, share = _lognormal(diameter, spread, sizes * FINER if spread > 0 else 1)
     if angles is None:
         largest = np.pi * diameters.max() / given[0]
         angles = int(max(ANGLES, 2 * math.ceil(PER_SIZE * largest / 2) + 1))
     cosine = np.cos(np.linspace(np.pi, 0, angles))
-    extinction, scattering = np.zeros((2, given.size))
-    phase = np.zeros((given.size, angles))
-    step = min(count, FINER)
-    for begin in tqdm(range(0, count, step), desc="sizes", disable=not progress):
-        alike = np.zeros(given.size)
-        for d, part in zip(diameters[begin : begin + step], share[begin : begin + step], strict=True):
-            q_extinction, q_scattering, _, _ = miepython.efficiencies_mx(refraction, np.pi * d / given)
-            area = part * np.pi / 4 * (d * 1e-6) ** 2
-            extinction += area * q_extinction
-            alike += area * q_scattering
-        scattering += alike
-        for i, size in enumerate(np.pi * diameters[begin + step // 2] / given):
-            phase[i] += alike[i] * miepython.i_unpolarized(refraction[i], size, cosine, norm="one")
+    asked = given, refraction, diameters, share, cosine
+    key = f"mie {miepython.__version__} {fingerprint(asked).hex()}"
+    held = kept(key)
+    if held is None:
+        held = _sums(*asked, progress).tobytes()
+        keep(key, held)
+    found = np.frombuffer(held).reshape(given.size, -1)
+    extinction, scattering, phase = found[:, 0], found[:, 1], found[:, 2:]
     volume = np.pi / 6 * (diameter * 1e-6) ** 3 * math.exp(4.5 * spread**2)
     back = np.argsort(1e4 / given)
     phase = phase / scattering[:, None]
     return ParticleTable(1e4 / given[back], extinction[back], scattering[back], volume, cosine, phase[back])
+
+
+def _lognormal(diameter: float, spread: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Diameters [um], and the share of the particles that each stands for."""
+    if count == 1:
+        return np.array([float(diameter)]), np.ones(1)
+    z = 2 * spread + REACH * (2 * (np.arange(count) + 0.5) / count - 1)  # areas weigh as d^2
+    return diameter * np.exp(spread * z), np.exp(-z * z / 2) * 2 * REACH / (count * math.sqrt(2 * math.pi))
+
+
+def _sums(
+    wavelength: np.ndarray,
+    refraction: np.ndarray,
+    diameters: np.ndarray,
+    share: np.ndarray,
+    cosine: np.ndarray,
+    progress: bool,
+) -> np.ndarray:
+    """Sums over sizes [wavelength, 2 + angle] [m2]: of extinction, of scattering, and by angle."""
+    import miepython
+
+    extinction, scattering = np.zeros((2, wavelength.size))
+    phase = np.zeros((wavelength.size, cosine.size))
+    step = min(diameters.size, FINER)
+    for begin in tqdm(range(0, diameters.size, step), desc="sizes", disable=not progress):
+        alike = np.zeros(wavelength.size)
+        for d, part in zip(diameters[begin : begin + step], share[begin : begin + step], strict=True):
+            q_extinction, q_scattering, _, _ = miepython.efficiencies_mx(refraction, np.pi * d / wavelength)
+            area = part * np.pi / 4 * (d * 1e-6) ** 2
+            extinction += area * q_extinction
+            alike += area * q_scattering
+        scattering += alike
+        for i, size in enumerate(np.pi * diameters[begin + step // 2] / wavelength):
+            phase[i] += alike[i] * miepython.i_unpolarized(refraction[i], size, cosine, norm="one")
+    return np.concatenate([extinction[:, None], scattering[:, None], phase], axis=1)
