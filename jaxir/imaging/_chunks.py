@@ -20,7 +20,7 @@ from jaxir.imaging._entry import path_doubts, require_camera, require_parts
 from jaxir.imaging._estimate import Estimate, Seen, Varied, of_strata
 from jaxir.imaging._image import Image, image_of
 from jaxir.optics.spectrum import Band, Nodes
-from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
+from jaxir.scene import Lit, Scene, nodes_within, on_nodes
 from jaxir.transport import (
     Components,
     Method,
@@ -200,11 +200,12 @@ def first_pass(
     samples: int,
     method: Method,
     components: str | None = None,
+    rtol: float | None = None,
 ) -> Pass:
-    """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on the nodes."""
+    """The first pass ready to be taken: scene, camera and method checked, the scene evaluated on nodes for an error."""
     require_parts(scene, method)
     require_camera(camera)
-    nodes = scene_nodes(scene, bands)
+    nodes = nodes_within(scene, bands, rtol)
     checks = [*scene.checks_on(nodes), *camera.checks(), *method.checks_for(scene), *method.node_checks(nodes)]
     checks += path_doubts(scene, camera.inverse_range)
     nodes = enforce(nodes, checks)

@@ -72,6 +72,7 @@ def render(
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
             the intensity: passes of `samples` if given, else as `jaxir.plan` foretells, which places many rays where
             the error is (see `jaxir.imaging._adaptive`). None takes one pass. `Image.outcome` says whether it was met.
+            Bands become spectral nodes that err by at most half of it, see `optimal_nodes`; so with pixel_rtol.
         atol: the standard error of an intensity that is good enough whatever it is [W sr-1], for contrasts near 0; with
             rtol, the larger of the two counts.
         pixel_rtol: place rays where the error is until the root mean square standard
@@ -152,10 +153,18 @@ def render(
 
 
 def leaves_out(image: Image, goal: Goal, left: Float[np.ndarray, " band"] | None) -> bool:
-    """Whether what is left out of an intensity exceeds what is asked: of particles, or the share left of bounces."""
+    """Whether what is left out of an intensity exceeds what is asked: of particles, or the share left of bounces.
+
+    Or what the nodes err.
+    """
     intensity = np.abs(np.asarray(image.radiant_intensity(), np.float64))
     shares = (image.truncation, 0.0 if left is None else left)
-    return any(asked.beyond(intensity, share) > 1 for asked in goal.of_intensity for share in shares)
+    share = 0.0 if image.spectral is None else np.asarray(image.spectral)
+    by_nodes = np.asarray(image.contrast(), np.float64) * share
+    return any(
+        asked.excess(intensity, by_nodes) > 1 or any(asked.beyond(intensity, share) > 1 for share in shares)
+        for asked in goal.of_intensity
+    )
 
 
 def repeated(
@@ -233,7 +242,8 @@ def prepare_image(
     least = samples if samples is not None else 8 if goal is None else FEW
     if goal is not None and max_samples < least:
         raise ValueError(f"max_samples: got {max_samples}, expected at least samples = {least}")
-    return first_pass(scene, camera, bands, key, least, Method() if method is None else method, components), goal
+    method, relative = Method() if method is None else method, None if goal is None else goal.relative
+    return first_pass(scene, camera, bands, key, least, method, components, relative), goal
 
 
 def top_up(image: Image, excess: float, most: int) -> int:

@@ -87,7 +87,8 @@ def plan(
 ) -> Plan:
     """How to meet a tolerance on the intensity of every band, and at what cost, before an image is computed.
 
-    What has no variance is chosen without trial: the exact sum over cells, delta sources. For reflected light, by a
+    Bands become spectral nodes that err by at most half of `rtol` (see `optimal_nodes`). What has no variance is chosen
+    without trial: the exact sum over cells, delta sources. For reflected light, by a
     closed form where its conditions hold or sampled, every candidate computes a few chunks of the image; variance as
     it falls with the rays (`ErrorLaw`), and time, as it grows with them, decide. So for light that particles scatter,
     sampled up to few or more orders or solved on a coarse or finer lattice: among those that leave out less than the
@@ -121,12 +122,12 @@ def plan(
         raise ValueError("plan: got traced values (inside jit, grad or vmap), expected a call outside it")
     key = key_or_default(key)
     given = Method() if method is None else method
-    first = first_pass(scene, camera, bands, key, FEW, given)
+    first = first_pass(scene, camera, bands, key, FEW, given, rtol=rtol)
     few = few_rays(rays_to_see(first), max_samples)
     times = []
     for _ in range(CALLS):  # once more, now that all of it is compiled
         began = time.perf_counter()
-        first_pass(scene, camera, bands, key, FEW, Method())
+        first_pass(scene, camera, bands, key, FEW, Method(), rtol=rtol)
         times.append(time.perf_counter() - began)
     call = min(times)
     goal = goal._replace(seconds=max(goal.seconds - call, 0.0))
@@ -155,6 +156,7 @@ def plan_pass(
         rays = chosen.seconds if look is None else look.seconds + seconds_of(trial.first, goal, look)
         chosen = chosen._replace(seconds=rays + call)
     terms = (
+        *_spectrum(first.lit.nodes),
         *_along_the_ray(first.lit, first.camera),
         *_by_particles(scene, trials, chosen),
         *_at_the_skin(scene, trials, chosen, asked),
@@ -195,6 +197,14 @@ def way_for_views(
             chosen = best_way(first, goal, False, count)[1]
     method = Method() if chosen is None else chosen.trial.method
     return dataclasses.replace(method, bounces=bounces), left
+
+
+def _spectrum(nodes: Nodes) -> list[Term]:
+    if nodes.error is None:
+        return []
+    count = int((np.asarray(nodes.weight) > 0).sum())
+    sentence = f"{count} nodes, chosen for this scene, which err by at most {float(np.max(nodes.error)):.2g}"
+    return [Term("Spectrum", True, sentence)]
 
 
 def _along_the_ray(lit: Lit, camera: Camera) -> list[Term]:

@@ -74,6 +74,11 @@ class Goal(NamedTuple):
         mean = () if self.pixel_rtol is None else (Tolerance(self.pixel_rtol, 0.0),)
         return self.tolerance, *mean
 
+    @property
+    def relative(self) -> float | None:
+        """The least relative error that is asked; None where none is."""
+        return min((rtol for rtol in (self.tolerance.rtol, self.pixel_rtol) if rtol), default=None)
+
     def weight(self, image: Image) -> Float[np.ndarray, "row column band"]:
         """w of each pixel: the errors asked for are met where sum_p w_p v_p <= 1 in every band, v_p the variances."""
         weight = np.zeros(image.radiance.shape[-1])

@@ -35,7 +35,7 @@ from jaxir.imaging._planning import way_for_views
 from jaxir.imaging._repeated import Repeats, repeats, until_met
 from jaxir.imaging._tolerance import tolerance_of
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
+from jaxir.scene import Lit, Scene, nodes_within, on_nodes
 from jaxir.transport import (
     Components,
     Method,
@@ -107,14 +107,16 @@ class Signature(eqx.Module):
     def meets(self, rtol: float | None = None, atol: float | None = None) -> Bool[np.ndarray, " view"]:
         """Whether every band of a view is within a tolerance, as `jaxir.signature` means it.
 
-        The standard error, and what is left out of what particles scatter, each for itself.
+        The standard error, what is left out of what particles scatter, and what the nodes err, each for itself.
         """
         asked = tolerance_of(rtol, atol)
         if asked is None:
             return np.ones(len(self.azimuth), bool)
         intensity = np.abs(np.asarray(self.intensity, np.float64))
         sampled = asked.excess(intensity, np.asarray(self.standard_error))
-        return np.maximum(sampled, asked.beyond(intensity, self.truncation)) <= 1
+        contrast = intensity if self.contrast is None else np.asarray(self.contrast, np.float64)
+        by_nodes = asked.excess(intensity, contrast * (0.0 if self.spectral is None else np.asarray(self.spectral)))
+        return np.maximum.reduce([sampled, by_nodes, asked.beyond(intensity, self.truncation)]) <= 1
 
 
 class Shared(NamedTuple):
@@ -204,8 +206,8 @@ def signature(
             `VIEWED` of the views, spread evenly, by times that other work may change.
         rtol: standard error of every band's intensity at most, as a share of it, in every view. A first look of
             `samples` decides how many more a view takes (see `jaxir.imaging._repeated`); where it errs by less than a
-            third of what is asked it is the answer, else it is no part of it. `Signature.meets` says which views kept
-            to it. None takes one look.
+            third of what is asked it is the answer, else it is no part of it. Bands become spectral nodes that err by
+            at most half of it, see `optimal_nodes`. `Signature.meets` says which views kept to it. None takes one look.
         atol: the standard error that is good enough whatever the intensity [W sr-1], for contrasts near 0; with rtol,
             the larger of the two counts.
         max_samples: rays per pixel of a view at which to give up.
@@ -304,7 +306,8 @@ def prepare_views(
             "rtol, atol: got traced values (inside jit, grad or vmap), expected a call outside it, or neither of them"
         )
     given, left = Method() if method is None else method, None
-    aspect, nodes, away = _checked(scene, views, scene_nodes(scene, bands), distance, given)
+    nodes = nodes_within(scene, bands, None if until is None else until.tolerance.rtol)
+    aspect, nodes, away = _checked(scene, views, nodes, distance, given)
     lit = on_nodes(scene, nodes)
     cameras = graded_cameras(lit, aspect, shape, away)
     lit = enforce(lit, [*cameras.checks(), *eye_outside(scene, 1 / on_host(away)[1])])

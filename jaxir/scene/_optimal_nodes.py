@@ -18,6 +18,7 @@ plumes, and what passes of skin, of every light and of light that is the same at
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -31,8 +32,17 @@ from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
 from jaxir._math import matmul
 from jaxir._programs import program
 from jaxir.geometry import Rays
-from jaxir.optics.spectrum import Band, Nodes, as_bands, gray_nodes, some_of, told_apart, with_error
-from jaxir.scene._resolution import KEPT, about_plumes, brought, finest_nodes, kept_choice, warmth, with_few_cells
+from jaxir.optics.spectrum import Band, Nodes, as_bands, gray_nodes, padded_nodes, some_of, told_apart, with_error
+from jaxir.scene._resolution import (
+    KEPT,
+    about_plumes,
+    brought,
+    finest_nodes,
+    kept_choice,
+    scene_nodes,
+    warmth,
+    with_few_cells,
+)
 from jaxir.scene._scene import Scene, on_nodes
 
 TOLERANCES = tuple(10.0 ** (-k / 4) for k in range(5, 21))  # singular values left out, as shares of the largest
@@ -42,6 +52,9 @@ ALONG = 0.15  # 1 - cos of the directions about a plume's axis that half of the 
 INSIDE = 0.3  # of an error of light inside the scene counts: of what is seen, that light is a part
 FAINT = 1e-3  # of the brightest spectrum of a kind: fainter ones do not count
 BLOCK = 256  # spectra whose singular vectors are found at a time
+SHARE = 0.5  # of an error asked for that nodes may make up
+MOST, LEAST = 0.1, 5e-4  # what they may err whatever is asked
+STEP = 2**0.5  # by which counts of nodes for an error differ, so that other values mostly find their programs compiled
 
 Chosen = tuple[np.ndarray, np.ndarray, np.ndarray]  # which nodes, their factors, what they err in each band
 
@@ -77,16 +90,49 @@ def optimal_nodes(scenes: Scene | Sequence[Scene], bands: Band | Sequence[Band],
     if is_traced(several):
         raise ValueError("optimal_nodes: got values that are not known yet, expected a call outside of transformations")
     for scene in several:
-        require(scene.checks())
         if any(plume.has_quantiles for plume in scene.plumes):
             raise ValueError("optimal_nodes: got a gas with values for given nodes, expected one for any nodes")
-    if not any(scene.has_spectrum for scene in several) and all(band.response is None for band in wanted):
+    if not _spectral(several, wanted):
         return gray_nodes(wanted)
-    asked = (jax.tree.structure(several), str(wanted), fingerprint(several), float(rtol))
-    return remembered(_held, asked, lambda: _choice(several, wanted, rtol, asked), KEPT)
+    nodes = _best(several, wanted, rtol)
+    if np.all(np.asarray(nodes.error) <= rtol):
+        return nodes
+    return with_error(finest_nodes(wanted), np.zeros(len(wanted)))
+
+
+def nodes_within(scene: Scene, bands: Nodes | Band | Sequence[Band], rtol: float | None) -> Nodes:
+    """The spectral nodes on which a scene is computed where intensities may err by `rtol`.
+
+    As by `optimal_nodes` for half of it, from `LEAST` to `MOST`, or the best that it finds, and some of weight 0, so
+    that few counts occur; `scene_nodes` where no such error is asked for or a gas has values for given nodes.
+    """
+    if isinstance(bands, Nodes):
+        return bands
+    wanted = as_bands(bands)
+    if not rtol or not _spectral((scene,), wanted) or any(plume.has_quantiles for plume in scene.plumes):
+        return scene_nodes(scene, wanted)
+    nodes = _best((scene,), wanted, min(max(SHARE * rtol, LEAST), MOST))
+    if nodes.count <= len(wanted):
+        return nodes
+    count = 1
+    while count < nodes.count or count == len(wanted):  # as many as bands would be taken for them
+        count = math.ceil(count * STEP)
+    return with_error(padded_nodes(nodes, count), np.asarray(nodes.error))
 
 
 _held: dict[tuple, Nodes] = {}
+
+
+def _spectral(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> bool:
+    return any(scene.has_spectrum for scene in scenes) or any(band.response is not None for band in bands)
+
+
+def _best(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float) -> Nodes:
+    """The fewest nodes that err by at most `rtol`, or those that err least, as told by `Nodes.error`."""
+    for scene in scenes:
+        require(scene.checks())
+    asked = (jax.tree.structure(scenes), str(bands), fingerprint(scenes), float(rtol))
+    return remembered(_held, asked, lambda: _choice(scenes, bands, rtol, asked), KEPT)
 
 
 def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, asked: tuple) -> Nodes:
@@ -141,15 +187,11 @@ def _spectra(scene: Scene, nodes: Nodes, draws: Float[Array, "ray 6"]) -> Spectr
     corners = scene.extent()
     away = jnp.sqrt(jnp.sum((corners.max(axis=0) - corners.min(axis=0)) ** 2))
     outside = Rays(inside.origin - away * inside.direction, inside.direction)
-
-    def along(rays: Rays) -> list[Array]:
-        assert lit.medium is not None
-        far, dark = jnp.full(rays.count, jnp.inf, flat.dtype), jnp.zeros((rays.count, nodes.count), flat.dtype)
-        passed = lit.medium.transmittance(rays, far)
-        return [lit.medium.radiance(rays, far, dark), *(passed * own[None] for own in behind)]
-
-    dimmed = [lit.dimmed_by_air(radiance) for radiance in along(outside)]
-    return Spectra(jnp.concatenate(seen), jnp.stack(dimmed), jnp.stack(along(inside)))
+    rays = jax.tree.map(lambda *both: jnp.concatenate(both), outside, inside)
+    far, dark = jnp.full(rays.count, jnp.inf, flat.dtype), jnp.zeros((rays.count, nodes.count), flat.dtype)
+    passed = lit.medium.transmittance(rays, far)
+    along = jnp.stack([lit.medium.radiance(rays, far, dark), *(passed * own[None] for own in behind)])
+    return Spectra(jnp.concatenate(seen), lit.dimmed_by_air(along[:, : outside.count]), along[:, outside.count :])
 
 
 def _through(scene: Scene, plume: int, draws: Float[Array, "ray 6"]) -> Rays:
@@ -168,7 +210,7 @@ def _through(scene: Scene, plume: int, draws: Float[Array, "ray 6"]) -> Rays:
 
 
 def _chosen(spectra: Sequence[Spectra], fine: Nodes, rtol: float) -> Chosen:
-    """Which nodes, with which factors, and what they err [band]."""
+    """Which nodes, with which factors, and what they err [band], at most `rtol` if the set allows it."""
     known = np.arange(RAYS) % 3 != 2  # of each plume
     share = np.asarray(fine.response, np.float64) * np.asarray(fine.weight, np.float64)
     used = [own > 0 for own in share]
@@ -182,13 +224,15 @@ def _chosen(spectra: Sequence[Spectra], fine: Nodes, rtol: float) -> Chosen:
         each = [np.abs(x @ factor[some] - x.sum(axis=1)).max() for x, some in zip(others, used, strict=True)]
         return np.array(each)
 
+    best = None
     for tolerance in TOLERANCES:
         factor = _factors([_independent(x, tolerance) for x in own], used)
-        if factor is not None and np.all(err(factor) <= rtol):
-            break
-    else:
-        factor = np.ones(fine.count)
-    return np.flatnonzero(factor), factor[factor > 0], err(factor)
+        if factor is not None and (best is None or err(factor).max() < err(best).max()):
+            best = factor
+            if np.all(err(best) <= rtol):
+                break
+    best = np.ones(fine.count) if best is None else best
+    return np.flatnonzero(best), best[best > 0], err(best)
 
 
 def _of_band(seen: Spectra, known: np.ndarray, share: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -32,8 +32,8 @@ from jaxir.imaging import (
 )
 from jaxir.io._array_files import load_arrays
 from jaxir.io._files import labels, read_json, remove_parts, written_whole
-from jaxir.io.result._way import WAY, read_way, write_way
-from jaxir.optics.spectrum import Band, Nodes
+from jaxir.io.result._way import NODES, WAY, read_nodes, read_way, write_nodes, write_way
+from jaxir.optics.spectrum import Band, Nodes, as_bands
 from jaxir.scene import Scene
 from jaxir.transport import Method
 
@@ -75,7 +75,7 @@ def sweep(
 
     Args:
         folder: made if it does not exist; one NPZ of each view, `conditions.json`, by which a folder begun under other
-            conditions is recognised, and `method.json`, where a method was chosen.
+            conditions is recognised, and `method.json` and `nodes.npz`, where a method and nodes were chosen.
         scene: as `jaxir.signature`, and so on; with `over` a function that returns it.
         views: more may be added at the end later.
         bands: bands or nodes.
@@ -116,10 +116,12 @@ def sweep(
     until = repeats(rtol, atol, samples, max_samples, max_seconds)
     chosen = method is None and until is not None
     kept = read_way(Path(folder)) if chosen else method
+    wanted = None if until is None or isinstance(bands, Nodes) else as_bands(bands)
+    given = bands if wanted is None else read_nodes(Path(folder))
     asked = prepare_views(
         scene,
         views,
-        bands,
+        bands if given is None else given,
         distance=distance,
         shape=shape,
         samples=samples,
@@ -131,7 +133,7 @@ def sweep(
     mesh = shared_by(devices, asked.aspect.shape[0], "views")
     conditions = _conditions(
         scene=scene,
-        bands=asked.shared.lit.nodes,
+        bands=asked.shared.lit.nodes if wanted is None else np.array(str(wanted)),
         distance=as_float(distance),
         pixels=(shape, samples),
         method=None if chosen else asked.shared.method,
@@ -142,11 +144,14 @@ def sweep(
     files = _Folder(Path(folder), asked)
     count = asked.aspect.shape[0]
     there = _from_first(lambda: files.finished(conditions), np.zeros(count, bool))
-    if chosen and kept is None:
-        if there.any():
-            raise ValueError(f"{files.path}: got views without {WAY}, expected both or none")
-        if jax.process_index() == 0:
+    for missing, name in ((chosen and kept is None, WAY), (given is None, NODES)):
+        if missing and there.any():
+            raise ValueError(f"{files.path}: got views without {name}, expected both or none")
+    if jax.process_index() == 0:
+        if chosen and kept is None:
             write_way(files.path, asked.shared.method)
+        if given is None:
+            write_nodes(files.path, asked.shared.lit.nodes)
     to_do = np.flatnonzero(~there).astype(np.int32)
     for view, values in each_view(asked, to_do, until, "sweep", mesh):
         if jax.process_index() == 0:
