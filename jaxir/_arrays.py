@@ -9,6 +9,7 @@ entry are enforced together: at once with the field, the value and the place whe
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import sys
@@ -85,6 +86,15 @@ def on_host(*values: Any) -> tuple[Any, ...]:
     if any(isinstance(value, jax.core.Tracer) for value in values):
         return jnp, *values
     return np, *(np.asarray(value) for value in values)
+
+
+def evaluated_now() -> contextlib.AbstractContextManager[None]:
+    """A context in which what is known is computed at once, inside `jax.jit`, too.
+
+    In JAX's own context for it every program is compiled anew, also those that are there; it is entered inside alone.
+    """
+    traced = isinstance(jax.device_put(np.zeros((), np.float32)), jax.core.Tracer)
+    return jax.ensure_compile_time_eval() if traced else contextlib.nullcontext()
 
 
 def placed(value: Any) -> Array:

@@ -127,13 +127,20 @@ def _roll(parts: _Outlines) -> Float[Array, ""]:
     total = jnp.sum(parts.weight)
     share = parts.weight / jnp.where(total > 0, total, 1)
     count, third = parts.corners, parts.corners - 2
-    sums = [one[0] + one[1] + third * one[2] for one in (parts.x, parts.y)]
+
+    def summed(one: list[Array]) -> Array:
+        return one[0] + one[1] + third * one[2]
+
+    def centred(one: list[Array]) -> list[Array]:  # else all that is left of a small part aside is rounding
+        mean = jnp.sum(share * summed(one) / count)
+        return [corner - mean for corner in one]
+
+    sides = centred(parts.x), centred(parts.y)
 
     def spread(i: int, j: int) -> Array:
-        a, b = ((parts.x, parts.y)[axis] for axis in (i, j))
+        a, b = sides[i], sides[j]
         square = a[0] * b[0] + a[1] * b[1] + third * a[2] * b[2]
-        mean = jnp.sum(share * sums[i] / count) * jnp.sum(share * sums[j] / count)
-        return jnp.sum(share * (square + sums[i] * sums[j]) / (count * (count + 1))) - mean
+        return jnp.sum(share * (square + summed(a) * summed(b)) / (count * (count + 1)))
 
     along, across, twice = spread(0, 0), spread(1, 1), 2 * spread(0, 1)
     stands_out = jnp.hypot(along - across, twice) > STANDS_OUT * (along + across)

@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float, placed
+from jaxir._arrays import as_float, evaluated_now, placed
 from jaxir._concurrent import side_by_side
 from jaxir._math import matmul, safe_sqrt
 from jaxir._programs import program
@@ -51,7 +51,7 @@ class Asked(eqx.Module):
         """What the nodes err, as a share of the contrast [band]; None where no look is taken or none can tell."""
         if self.scene.has_spectrum and not look:
             return None
-        with jax.ensure_compile_time_eval():
+        with evaluated_now():
             return nodes_error(self.scene, self.nodes)
 
     def quadrature(self, look: bool) -> Float[Array, "*view band"] | None:
@@ -60,7 +60,7 @@ class Asked(eqx.Module):
             return self._none()
         if not look:
             return None
-        with jax.ensure_compile_time_eval():
+        with evaluated_now():
             return self._by_view(quadrature_error(self.scene, self.nodes, self._views(), self.method))
 
     def bounces(self, look: bool) -> Float[Array, "*view band"] | None:
@@ -74,7 +74,7 @@ class Asked(eqx.Module):
             return self._none()
         if not look:
             return None
-        with jax.ensure_compile_time_eval():
+        with evaluated_now():
             found = left_out(on_nodes(self.scene, self.nodes), self._views(), _further(self.method, 0))
             return self._by_view(found[:, 0])
 
