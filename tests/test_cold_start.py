@@ -1,6 +1,7 @@
 """What the first answer costs: programs compiled, once for one structure, kept on disk, and what import loads."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -67,7 +68,6 @@ def test_no_program_is_compiled_twice_for_one_structure(quantity, transformation
 
 def test_other_numbers_of_views_compile_nothing():
     seen = [jaxir.signature(unlit((0.8, 900.0)), [(0, 10)], MWIR, samples=2, shape=(16, 16))]
-    seen[0].error_budget()
     del COMPILED[:]
     views = [(0, 10), (40, 0), (0, 10), (80, -30), (180, 0)]
     seen += [jaxir.signature(unlit((0.8, 900.0)), views, MWIR, samples=2, shape=(16, 16))]
@@ -84,37 +84,58 @@ def test_hessian_of_a_gridded_plume_is_the_slope_of_its_gradient(x64):
             jaxir.Scene(None, jaxir.GridPlume(grid, x[1], jaxir.GrayGas(x[0]))), 30, 10, MWIR, rays=64
         )[0]
 
-    x, step = jnp.asarray([0.5, 900.0]), 1e-5
+    x, step = np.array([0.5, 900.0]), 1e-5
     slope = jax.grad(intensity)
-    for axis, size in enumerate((0.5, 900.0)):
-        change = step * size * jnp.eye(2)[axis]
-        difference = (slope(x + change) - slope(x - change)) / (2 * step * size)
-        np.testing.assert_allclose(jax.hessian(intensity)(x)[axis], difference, rtol=1e-6)
+    slopes = jax.jit(jax.jacfwd(lambda x: (slope(x),) * 2, has_aux=True))  # the hessian, and the gradient
+    hessian, _ = slopes(x)
+    for axis, size in enumerate(x):
+        change = step * size * np.eye(2)[axis]
+        above, below = (np.asarray(slopes(there)[1]) for there in (x + change, x - change))
+        np.testing.assert_allclose(hessian[axis], (above - below) / (2 * step * size), rtol=1e-6)
 
 
-def test_a_render_compiles_five_programs():
-    # the key, the scene on the nodes, a chunk of the image, the whole image, its intensity
+@pytest.fixture(scope="module")
+def uncached():
+    """What a process without a cache says: heavy modules after the import, the cache's state, programs of a render."""
     code = """
-from test_cold_start import CAMERA, COMPILED, MWIR, jaxir, scene
+import sys
+import jaxir
+print([m for m in ("matplotlib", "optimistix", "scipy.sparse", "trimesh") if m in sys.modules])
+print(jaxir.compilation_cache())
+from test_cold_start import CAMERA, COMPILED, MWIR, scene
 image = jaxir.render(scene((0.8, 900.0)), CAMERA, MWIR)
 image.radiant_intensity()
 print(len(COMPILED))
 """
-    assert int(run(code, JAXIR_CACHE="0")[-1]) <= 5
+    return run(code, JAXIR_CACHE="0")
 
 
-def test_import_loads_no_heavy_library():
-    heavy = ["matplotlib", "optimistix", "scipy.sparse", "trimesh"]
-    assert run(f"import sys, jaxir; print([m for m in {heavy} if m in sys.modules])", JAXIR_CACHE="0") == ["[]"]
+def test_a_render_compiles_five_programs(uncached):
+    # the key, the scene on the nodes, a chunk of the image, the whole image, its intensity
+    assert int(uncached[-1]) <= 5
+
+
+def test_import_loads_no_heavy_library(uncached):
+    assert uncached[0] == "[]"
 
 
 # The cache on disk ----------------------------------------------------------------------------------------------------
 
 ANSWER = """
-import sys
 from test_cold_start import CAMERA, MWIR, jaxir, scene
 print(jaxir.compilation_cache())
+print(jaxir.plume_intensity(jaxir.Scene(None, scene((0.8, 900.0)).plumes), 0, 10, MWIR, rays=64))
+"""
+IMAGE = """
 print(jaxir.render(jaxir.Scene(scene((0.8, 900.0)).skin), CAMERA, MWIR).radiant_intensity())
+"""
+TRACED = """
+import jax
+from jax import monitoring
+seen = []
+monitoring.register_event_duration_secs_listener(
+    lambda event, seconds, **own: seen.append(own.get("fun_name")) if event.endswith("trace_duration") else None
+)
 """
 
 
@@ -130,82 +151,77 @@ def run(code, **variables):
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    """A folder with the programs of `ANSWER`, and what that printed."""
+    """A folder with the programs of `ANSWER` and `IMAGE`, and what these printed."""
     folder = tmp_path_factory.mktemp("cache") / "programs"
-    return folder, run(ANSWER, JAXIR_CACHE=str(folder))
+    return folder, run(ANSWER + IMAGE, JAXIR_CACHE=str(folder))
 
 
-def test_programs_are_kept_in_a_private_folder_and_found_again(filled):
-    folder, (state, answer) = filled
-    assert state == f"compilation cache: {folder}, set by jaxir (JAXIR_CACHE=0 prevents it)"
-    assert folder.stat().st_mode & 0o777 == 0o700
+@pytest.fixture(scope="module")
+def found_again(filled):
+    """Files of the folder before a second process, what that printed, what it traced, and the files after it."""
+    folder, _ = filled
     before = {file.name for file in folder.iterdir()}
+    *printed, traced = run(TRACED + ANSWER + IMAGE + "print(sorted(set(seen)))", JAXIR_CACHE=str(folder))
+    return before, printed, eval(traced), {file.name for file in folder.iterdir()}
+
+
+def test_programs_are_kept_in_a_private_folder_and_found_again(filled, found_again):
+    folder, said = filled
+    assert said[0] == f"compilation cache: {folder}, set by jaxir (JAXIR_CACHE=0 prevents it)"
+    assert folder.stat().st_mode & 0o777 == 0o700
+    before, printed, _, after = found_again
     assert len(before) >= 4 and all(name.endswith(_SUFFIX) for name in before)
-    assert run(ANSWER, JAXIR_CACHE=str(folder)) == [state, answer]
-    assert {file.name for file in folder.iterdir()} == before
+    assert printed == said
+    assert after == before
 
 
-def test_damaged_files_are_compiled_anew(filled):
-    folder, (state, answer) = filled
+def test_a_second_process_traces_nothing_of_an_image(found_again):
+    assert set(found_again[2]) <= {
+        "threefry_seed",
+        "_threefry_seed",
+        "random_seed",
+        "radius_about",
+    }  # of JAX, and for a mesh
+
+
+def test_what_jax_kept_of_other_code_is_not_kept_as_an_executable(tmp_path, filled):
+    """XLA cannot write an executable again that it has read."""
+    folder = shutil.copytree(filled[0], tmp_path / "p")
+    changed = "import jaxir._cache\njaxir._cache._of_this_code = lambda: 'changed'\n"
+    for _ in range(2):  # the first compiles and keeps, the second loads
+        assert run(changed + ANSWER, JAXIR_CACHE=str(folder))[1:] == filled[1][1:2]
+
+
+def test_damaged_files_are_compiled_anew(tmp_path, filled):
+    folder = shutil.copytree(filled[0], tmp_path / "p")
     rng = np.random.default_rng(0)
     for number, file in enumerate(sorted(folder.iterdir())):
         content = bytearray(file.read_bytes())
         if number % 3 == 0:
             content[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
         file.write_bytes((bytes(content), content[: len(content) // 2], b"")[number % 3])
-    assert run(ANSWER, JAXIR_CACHE=str(folder)) == [state, answer]
+    assert run(ANSWER + IMAGE, JAXIR_CACHE=str(folder))[1:] == filled[1][1:]
 
 
 def test_folders_that_cannot_be_used_are_left_alone(tmp_path, filled):
-    _, (_, answer) = filled
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     open_to_all = tmp_path / "open"
     open_to_all.mkdir()
     open_to_all.chmod(0o777)
     for folder, why in ((blocked / "programs", "Not a directory"), (open_to_all, "others can write")):
-        state, found = run(ANSWER, JAXIR_CACHE=str(folder))
+        state, answer = run(ANSWER, JAXIR_CACHE=str(folder))
         assert state.startswith("compilation cache: off, because") and why in state
-        assert found == answer
+        assert answer == filled[1][1]
     assert list(open_to_all.iterdir()) == []
 
 
-def test_the_user_decides():
-    code = "import jaxir; print(jaxir.compilation_cache())"
-    assert run(code, JAXIR_CACHE="0") == ["compilation cache: off, because JAXIR_CACHE says so"]
-    named = "import jax; jax.config.update('jax_compilation_cache_dir', '/named'); " + code
-    assert run(named, JAXIR_CACHE="") == ["compilation cache: /named, as jax_compilation_cache_dir says"]
-
-
-def test_what_jax_kept_of_other_code_is_not_kept_as_an_executable(tmp_path):
-    """XLA cannot write an executable again that it has read."""
-    folder = str(tmp_path / "p")
-    changed = "import jaxir._cache\njaxir._cache._of_this_code = lambda: 'changed'\n"
-    state, answer = run(ANSWER, JAXIR_CACHE=folder)
-    for _ in range(2):  # the first compiles and keeps, the second loads
-        assert run(changed + ANSWER, JAXIR_CACHE=folder) == [state, answer]
-
-
-TRACED = """
-import jax
-from jax import monitoring
-seen = []
-monitoring.register_event_duration_secs_listener(
-    lambda event, seconds, **own: seen.append(own.get("fun_name")) if event.endswith("trace_duration") else None
-)
-"""
-
-
-def test_a_second_process_traces_nothing_of_an_image(filled):
-    folder, (state, answer) = filled
-    lines = run(TRACED + ANSWER + "print(sorted(set(seen)))", JAXIR_CACHE=str(folder))
-    assert lines[:2] == [state, answer]
-    assert set(eval(lines[2])) <= {
-        "threefry_seed",
-        "_threefry_seed",
-        "random_seed",
-        "radius_about",
-    }  # of JAX, and for a mesh
+def test_the_user_decides(uncached):
+    assert uncached[1] == "compilation cache: off, because JAXIR_CACHE says so"
+    named = "import jax; jax.config.update('jax_compilation_cache_dir', '/named'); "
+    assert run(named + "import jaxir; print(jaxir.compilation_cache())", JAXIR_CACHE="") == [
+        "compilation cache: /named, as jax_compilation_cache_dir says"
+    ]
 
 
 OTHERS = """
@@ -218,8 +234,16 @@ _programs.keep = lambda key, value, put=_programs.keep: (kept.append(key), put(k
 """
 
 
-def test_what_a_key_cannot_name_is_not_kept(tmp_path):
-    code = """
+SOLVED = """
+from jaxir._programs import program
+import jaxir._math
+def solve(a, b):
+    return jnp.linalg.solve(a, b), jax.random.key_data(jax.random.key(1)), jax.random.key(2)
+solve.__module__ = "jaxir._math"
+own = program(solve)
+print(own(2 * jnp.eye(2), jnp.ones(2))[0].tolist(), jax.random.uniform(own(jnp.eye(2), jnp.ones(2))[2]), len(kept))
+"""
+UNNAMED = """
 class Dull(jaxir.Lambert):  # a user's, who may change its code
     pass
 
@@ -229,56 +253,61 @@ for kind in (jaxir.Lambert, Dull):
     skin = jaxir.Skin(mesh, 300.0, kind(0.5))
     print(float(jaxir.unoccluded_intensity(jaxir.Scene(skin), 0, 0, jaxir.MWIR)[0]), len(kept) > 0)
 """
-    (own, own_kept), (other, other_kept) = (
-        line.split() for line in run(OTHERS + code, JAXIR_CACHE=str(tmp_path / "p"))
-    )
-    assert own == other and own_kept == "True" and other_kept == "False"
-
-
-def test_settings_of_jax_and_flags_have_programs_of_their_own(tmp_path):
-    code = """
+SETTINGS = """
+del kept[:]
 from jaxir.imaging._image import truncated_share
 for x64 in (False, True):
     with jax.enable_x64(x64):
         print(truncated_share(jnp.asarray([[0.1], [0.3]]), jnp.asarray([2.0])).dtype)
 print(len(set(kept)))
 """
-    assert run(OTHERS + code, JAXIR_CACHE=str(tmp_path / "p")) == ["float32", "float64", "2"]
-
-
-def test_programs_with_linear_algebra_find_its_functions_in_a_second_process(tmp_path):
-    code = """
-from jaxir._programs import program
-import jaxir._math
-def solve(a, b):
-    return jnp.linalg.solve(a, b), jax.random.key_data(jax.random.key(1)), jax.random.key(2)
-solve.__module__ = "jaxir._math"
-own = program(solve)
-print(own(2 * jnp.eye(2), jnp.ones(2))[0].tolist(), jax.random.uniform(own(jnp.eye(2), jnp.ones(2))[2]), len(kept))
-"""
-    first, second = (run(OTHERS + code, JAXIR_CACHE=str(tmp_path / "p")) for _ in range(2))
-    assert first[0].startswith("[0.5, 0.5]") and first[0].endswith(" 1") and second[0] == first[0][:-1] + "0"
-
-
-def test_programs_are_dropped_before_the_system_ends_the_process(tmp_path):
-    """Where nearly all the mappings of memory that it grants are held; what is asked for again is read."""
-    (tmp_path / "granted").write_text("1")
-    code = f"""
+CROWDED = """
+del kept[:]
+truncated_share._held = {}
 import pathlib
 from jaxir import _room
-from jaxir.imaging._image import truncated_share
 asked = lambda n: truncated_share(jnp.full((2, n), 0.1), jnp.full(n, 2.0))
 held = lambda: sum(1 for line in open("/proc/self/maps") if "r-xp" in line)
 mine = truncated_share._held
 first = [asked(n) for n in range(1, 20)]  # far from it: all are held
 before = held(), len(truncated_share._held), truncated_share._held is mine
-_room._GRANTED, _room.OFTEN = pathlib.Path({str(tmp_path / "granted")!r}), 0
+_room._GRANTED, _room.OFTEN = pathlib.Path("HERE"), 0
 again = asked(1)
 print(before[1:], truncated_share._held is mine, len(truncated_share._held), held() < before[0] - 10)
 print(bool((again == first[0]).all()), len(kept))
 """
-    said = run(OTHERS + code, JAXIR_CACHE=str(tmp_path / "p"))
-    assert said == ["(19, True) False 1 True", "True 19"]
+
+
+@pytest.fixture(scope="module")
+def others(tmp_path_factory):
+    """What the code above prints in one process, with a folder of its own, by name; and `SOLVED` in a second."""
+    folder = tmp_path_factory.mktemp("others")
+    (folder / "granted").write_text("1")
+    codes = {"solved": SOLVED, "unnamed": UNNAMED, "settings": SETTINGS}
+    codes["crowded"] = CROWDED.replace("HERE", str(folder / "granted"))
+    said = run(OTHERS + "print('---')\n".join(codes.values()), JAXIR_CACHE=str(folder / "p"))
+    parts = [part.strip().splitlines() for part in "\n".join(said).split("---")]
+    second = run(OTHERS + SOLVED, JAXIR_CACHE=str(folder / "p"))
+    return {**dict(zip(codes, parts, strict=True)), "second": second}
+
+
+def test_what_a_key_cannot_name_is_not_kept(others):
+    (own, own_kept), (other, other_kept) = (line.split() for line in others["unnamed"])
+    assert own == other and own_kept == "True" and other_kept == "False"
+
+
+def test_settings_of_jax_and_flags_have_programs_of_their_own(others):
+    assert others["settings"] == ["float32", "float64", "2"]
+
+
+def test_programs_with_linear_algebra_find_its_functions_in_a_second_process(others):
+    first, second = others["solved"], others["second"]
+    assert first[0].startswith("[0.5, 0.5]") and first[0].endswith(" 1") and second[0] == first[0][:-1] + "0"
+
+
+def test_programs_are_dropped_before_the_system_ends_the_process(others):
+    """Where nearly all the mappings of memory that it grants are held; what is asked for again is read."""
+    assert others["crowded"] == ["(19, True) False 1 True", "True 19"]
 
 
 class OtherGas(jaxir.NarrowBandGas):

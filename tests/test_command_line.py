@@ -90,12 +90,12 @@ def test_states_are_one_table_and_one_film(rendered, tmp_path, capsys):
     np.testing.assert_allclose(first[:, 1:5], alone[:, :4], rtol=1e-5)  # the first state is the file as it is
     kept = sorted(path.name for path in (tmp_path / "kept").iterdir())
     assert kept == ["level=1", "level=2"]
-    assert main(["film", scene, "-o", str(tmp_path / "f.gif"), "-o", str(tmp_path / "f.png")]) == 0
+    assert main(["film", scene, "-q", "apparent", "-o", str(tmp_path / "f.gif"), "-o", str(tmp_path / "f.png")]) == 0
     assert (tmp_path / "f.gif").read_bytes()[:4] == b"GIF8"
     assert main(["film", str(write_scene(tmp_path, TEXT, "one.toml"))]) == 1
     assert "got no section over or no camera, expected both for film" in capsys.readouterr().err
-    grows = '[over.rows]\nvalues = [4, 8]\ntables = { "camera.shape" = [[4, 4], [8, 4]] }\n'
-    assert main(["film", str(write_scene(tmp_path, TEXT + grows, "grows.toml"))]) == 1
+    grows = '[over.rows]\nvalues = [16, 8]\ntables = { "camera.shape" = [[16, 16], [8, 16]] }\n'
+    assert main(["film", str(write_scene(tmp_path, TEXT + grows, "grows.toml")), "-q", "apparent"]) == 1
     assert "over: got other bands or shape at rows 8, expected equal ones" in capsys.readouterr().err
 
 

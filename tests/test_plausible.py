@@ -1,5 +1,6 @@
 """Values that are legal and hardly meant get one warning with field, value and likely unit; the usual ones get none."""
 
+import importlib
 import re
 import subprocess
 import sys
@@ -275,7 +276,7 @@ def test_errors_of_kind_are_clear_and_a_warning_is_once_at_the_line_of_its_user(
 
 def test_the_command_says_it_on_one_line_once(tmp_path, capsys):
     scene = write_scene(tmp_path, TEXT.replace("temperature = 250", "temperature = 15"))
-    assert main(["render", str(scene), "-q", "apparent", "-q", "contrast", "-o", str(tmp_path / "image.npz")]) == 0
+    assert main(["render", str(scene), "-q", "apparent", "-q", "source", "-o", str(tmp_path / "image.npz")]) == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
     assert len(said) == 1 and said[0].startswith("jaxir: warning: BlackbodyBackground.temperature: got 15.0, expected")
 
@@ -322,7 +323,17 @@ def test_a_bin_beyond_a_table_is_told_what_it_covers_and_what_was_asked(part, co
 
 
 @pytest.mark.parametrize("air", [jaxir.StandardAtmosphere(0.0, 1e3, 5e3), jaxir.UniformAtmosphere(1e-4, 5e3)])
-def test_a_path_of_another_length_than_the_way_to_the_eye_is_doubted(air):
+def test_a_path_of_another_length_than_the_way_to_the_eye_is_doubted(air, monkeypatch):
+    """Before anything is computed."""
+
+    class ComputedError(Exception):
+        pass
+
+    def computed(*_args, **_kwargs):
+        raise ComputedError
+
+    monkeypatch.setattr(importlib.import_module("jaxir.imaging._passes"), "even_image", computed)
+    monkeypatch.setattr(importlib.import_module("jaxir.imaging._views"), "until_met", computed)
     scene = jaxir.Scene(skin(), atmosphere=air)
 
     def looks(distance):
@@ -333,9 +344,11 @@ def test_a_path_of_another_length_than_the_way_to_the_eye_is_doubted(air):
         with pytest.warns(
             jaxir.PlausibilityWarning, match=f"{type(air).__name__}.distance: got 5000.0, expected about"
         ):
-            look()
+            with pytest.raises(ComputedError):
+                look()
+    far = jaxir.orthographic_camera(0, 0, 0.5, (2, 2))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for look in looks(5.2e3):
-            look()
-        jaxir.render(scene, jaxir.orthographic_camera(0, 0, 0.5, (2, 2)), jaxir.LWIR)
+        for look in (*looks(5.2e3), lambda: jaxir.render(scene, far, jaxir.LWIR)):
+            with pytest.raises(ComputedError):
+                look()

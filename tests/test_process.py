@@ -1,5 +1,6 @@
 """The process setting: what import does, who may prevent it, and that results do not depend on it."""
 
+import functools
 import os
 import subprocess
 import sys
@@ -38,6 +39,13 @@ def scene():
     return mesh, rays, Bundle(jnp.zeros(3, jnp.float32), jnp.eye(3, dtype=jnp.float32), *point, screen)
 
 
+@functools.cache
+def compiled(search, bundled):
+    """A search of the scene's bundle, or of its rays, as one program."""
+    mesh, *shapes = scene()
+    return jax.jit(lambda m, r: search(m, r)).lower(mesh, shapes[bundled]).compile()
+
+
 def run(code, **variables):
     environment = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", OPT_OUT)}
     environment |= {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}", "JAX_PLATFORMS": "cpu"} | variables
@@ -50,8 +58,8 @@ def test_results_are_the_same_without_compiler_options():
     mesh, rays, bundle = scene()
     line, single, tiles = run(PRINT_FACES, **{OPT_OUT: "0"})
     assert line == f"compiler options: none set, because {OPT_OUT} says so"
-    assert single == str(closest_hit(mesh, rays).face.tolist())
-    assert tiles == str(closest_hit(mesh, bundle).face.tolist())
+    assert single == str(compiled(closest_hit, False)(mesh, rays).face.tolist())
+    assert tiles == str(compiled(closest_hit, True)(mesh, bundle).face.tolist())
 
 
 def test_import_sets_the_option_and_keeps_other_flags():
@@ -81,7 +89,6 @@ def test_a_running_backend_and_a_named_option_are_left_alone():
 @pytest.mark.skipif("set by jaxir" not in jaxir.compiler_options(), reason="another owner of the process")
 @pytest.mark.parametrize("search", [closest_hit, any_hit])
 def test_the_compiled_search_holds_native_loops(search):
-    mesh, rays, bundle = scene()
-    for shape, nests in ((rays, 2), (bundle, 4)):
-        text = jax.jit(lambda m, r: search(m, r)).lower(mesh, shape).compile().as_text()
+    for bundled, nests in ((False, 2), (True, 4)):
+        text = compiled(search, bundled).as_text()
         assert text.count('xla_cpu_small_call="true"') >= nests

@@ -34,15 +34,20 @@ def test_tiles_cover_the_image_once(shape):
 
 def test_rays_of_a_pinhole_meet_at_the_eye(x64):
     camera = jaxir.perspective_camera(30.0, 20.0, 50.0, 1e-2, (16, 16), target=(1.0, 2.0, 3.0))
-    screen = camera.screen(jnp.zeros(1, jnp.int32), jnp.full((1, 256, 2), 0.5)).reshape(-1, 2)
-    rays = camera.bundle(screen, as_float(5.0)).rays()
-    eye = camera.target + 50.0 * camera.frame[2]
-    offset = np.asarray(eye[None, :] - rays.origin)
+
+    @jax.jit
+    def traced(camera):
+        screen = camera.screen(jnp.zeros(1, jnp.int32), jnp.full((1, 256, 2), 0.5)).reshape(-1, 2)
+        return screen, camera.bundle(screen, as_float(5.0)).rays()
+
+    screen, rays = jax.device_get(traced(camera))
+    target, towards = np.asarray(camera.target), np.asarray(camera.frame)[2]
+    offset = target + 50.0 * towards - rays.origin
     np.testing.assert_allclose(np.cross(offset, np.asarray(rays.direction)), 0.0, atol=1e-10)
     np.testing.assert_allclose(np.linalg.norm(rays.direction, axis=1), 1.0, rtol=1e-12)
     # pixel at the target subtends the resolution, and the plane of start is 5 m in front of it
-    np.testing.assert_allclose(np.diff(np.asarray(screen).reshape(16, 16, 2)[0, :, 0]), 0.5)
-    np.testing.assert_allclose(np.asarray(rays.origin - camera.target[None, :]) @ np.asarray(camera.frame[2]), 5.0)
+    np.testing.assert_allclose(np.diff(screen.reshape(16, 16, 2)[0, :, 0]), 0.5)
+    np.testing.assert_allclose((rays.origin - target) @ towards, 5.0)
 
 
 @pytest.mark.parametrize("distance", [5e3, 11547.0])
@@ -72,16 +77,16 @@ def test_solid_angle_weights_give_the_intensity_of_a_lambert_plane(x64):
     camera = jaxir.perspective_camera(0.0, 0.0, distance, 2 * radius / 2000 / distance, (2000, 2000))
     x = (np.arange(2000) + 0.5 - 1000) * float(camera.pixel[0])
     inside = x[:, None] ** 2 + x[None, :] ** 2 < radius**2
-    got = float(np.sum(np.asarray(camera.pixel_area()) * inside))
+    got = float(np.sum(np.asarray(jax.jit(lambda camera: camera.pixel_area())(camera)) * inside))
     assert got == pytest.approx(np.pi * distance**2 * radius**2 / (distance**2 + radius**2), rel=1e-4)
 
 
 @pytest.mark.parametrize("distance", [np.inf, 12.0])
 def test_a_fitted_camera_just_holds_the_scene(distance, x64):
     rng = np.random.default_rng(2)
-    extent = as_float(rng.uniform(-1, 1, (50, 3)) * [4.0, 2.0, 1.0] + [3.0, 0.0, 0.0])
-    camera = fitted_camera(40.0, 25.0, extent, (30, 60), distance)
-    local = np.asarray(extent - camera.target[None, :]) @ np.asarray(camera.frame).T
+    extent = rng.uniform(-1, 1, (50, 3)) * [4.0, 2.0, 1.0] + [3.0, 0.0, 0.0]
+    camera = jax.jit(fitted_camera, static_argnums=3)(40.0, 25.0, as_float(extent), (30, 60), distance)
+    local = (extent - np.asarray(camera.target)) @ np.asarray(camera.frame).T
     seen = local[:, :2] / (1 - local[:, 2:] * float(camera.inverse_range))
     half = np.asarray(camera.pixel) * np.array([60, 30]) / 2
     share = np.abs(seen).max(axis=0) / half

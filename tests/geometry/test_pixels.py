@@ -9,9 +9,12 @@ from jaxir.geometry import pixel_samples, pixel_strata
 TILES = 16  # of 256 pixels
 
 
+draw = jax.jit(pixel_samples, static_argnums=(1, 2))
+
+
 def points(samples, tiles=TILES):
     """Places [stratum, set, pixel, 2]."""
-    place = pixel_samples(jax.random.key(samples), tiles, samples)
+    place = draw(jax.random.key(samples), tiles, samples)
     return np.asarray(place, float).reshape(samples // 2, 2, -1, 2)
 
 

@@ -43,12 +43,10 @@ def test_random_rays_cross_the_cells_of_the_plane_sorting_reference(shape, preci
     got = crossings(grid, rays, t_max)
     cells = int(np.prod(shape))
     want = np.zeros((200, cells))
-    for ray in range(200):
-        cell, length = reference_crossings(
-            grid.origin, grid.spacing, shape, *(np.asarray(x[ray], float) for x in (rays.origin, rays.direction)),
-            float(t_max[ray]),
-        )  # fmt: skip
-        np.add.at(want[ray], cell, length)
+    given = (np.asarray(x, float) for x in (rays.origin, rays.direction, t_max))
+    for row, (start, direction, end) in zip(want, zip(*given, strict=True), strict=True):
+        cell, length = reference_crossings(grid.origin, grid.spacing, shape, start, direction, end)
+        np.add.at(row, cell, length)
     tolerance = 3e-5 if precision == "float32" else 1e-12
     np.testing.assert_allclose(spread(got, cells), want, atol=tolerance)
     assert got.bound == crossing_bound(shape)
@@ -61,9 +59,9 @@ def test_lists_run_near_to_far_and_padding_is_empty(precision):
     rays, t_max = random_rays(grid, 100, seed=2)
     got = crossings(grid, rays, t_max)
     index = np.stack(np.unravel_index(np.asarray(got.cell), grid.shape), axis=-1)
-    along = np.sign(np.asarray(rays.direction))
+    along, length = np.sign(np.asarray(rays.direction)), np.asarray(got.length)
     for ray in range(100):
-        used = np.asarray(got.length[ray]) > 0
+        used = length[ray] > 0
         assert not used[int(used.sum()) :].any()
         steps = np.diff(index[ray][used], axis=0) * along[ray]
         assert (steps >= 0).all() and (steps.sum(axis=1) >= 1).all()
@@ -96,17 +94,17 @@ def test_rays_along_axes_faces_edges_and_corners(case, precision):
         direction = unit(direction)
     grid = Grid([0, 0, 0], [1, 1, 1], (3, 4, 5))
     got = crossings(grid, Rays(as_float([start]), as_float([direction])), as_float([np.inf]))
-    count = int(got.longest())
-    assert np.asarray(got.cell[0, :count]).tolist() == list(want)
-    np.testing.assert_allclose(got.length[0, :count], list(want.values()), rtol=1e-6)
-    assert not np.asarray(got.length[0, count:]).any()
+    count, cell, length = int(got.longest()), np.asarray(got.cell)[0], np.asarray(got.length)[0]
+    assert cell[:count].tolist() == list(want)
+    np.testing.assert_allclose(length[:count], list(want.values()), rtol=1e-6)
+    assert not length[count:].any()
 
 
 @pytest.mark.parametrize("t_max, want", [(0.0, []), (-1.0, []), (1.25, [0.25]), (2.5, [1, 0.5]), (9, [1, 1, 1])])
 def test_a_ray_ends_at_t_max(t_max, want, precision):
     grid = Grid([0, 0, 0], [1, 1, 1], (3, 4, 5))
     got = crossings(grid, Rays(as_float([[-1, 0.5, 0.5]]), as_float([[1, 0, 0]])), as_float([t_max]))
-    np.testing.assert_allclose(got.length[0, :3], want + [0] * (3 - len(want)), rtol=1e-6)
+    np.testing.assert_allclose(np.asarray(got.length)[0, :3], want + [0] * (3 - len(want)), rtol=1e-6)
 
 
 def test_near_diagonal_rays_keep_their_cells_in_single_precision():
@@ -120,9 +118,10 @@ def test_near_diagonal_rays_keep_their_cells_in_single_precision():
     x, y, z = np.unravel_index(np.asarray(got.cell), grid.shape)
     used = np.asarray(got.length) > 1e-3
     assert (np.abs(x - y)[used] <= 1).all() and (z[used] == 3).all()
-    np.testing.assert_allclose(got.length.sum(axis=1), 64 * 2**0.5, rtol=1e-5)
+    length = np.asarray(got.length)
+    np.testing.assert_allclose(length.sum(axis=1), 64 * 2**0.5, rtol=1e-5)
     for ray in range(41):  # a long stretch lies either on the diagonal or beside it, never in both at one x
-        stretches = used[ray] & (np.asarray(got.length[ray]) > 0.5)
+        stretches = used[ray] & (length[ray] > 0.5)
         assert len(np.unique(x[ray][stretches])) == stretches.sum()
 
 
@@ -130,6 +129,7 @@ def test_flat_cells_far_coordinates_and_no_rays(precision):
     grid = Grid([100, -50, 20], [1e-3, 1, 1], (10, 2, 2))
     rays = Rays(as_float([[100.0 + 4.5e-3, -60, 20.5], [99, -49.5, 20.5]]), as_float([[0, 1, 0], [1, 0, 0]]))
     got = crossings(grid, rays, as_float([np.inf, np.inf]))
-    np.testing.assert_allclose(got.length.sum(axis=1), [2, 1e-2], rtol=1e-2 if precision == "float32" else 1e-9)
+    length = np.asarray(got.length).sum(axis=1)
+    np.testing.assert_allclose(length, [2, 1e-2], rtol=1e-2 if precision == "float32" else 1e-9)
     none = crossings(grid, Rays(as_float(np.zeros((0, 3))), as_float(np.zeros((0, 3)))), as_float(np.zeros(0)))
     assert none.cell.shape == (0, crossing_bound(grid.shape)) and int(none.longest()) == 0

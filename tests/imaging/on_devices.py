@@ -1,6 +1,6 @@
-"""What one process of a computation on many devices does: `python -m tests.imaging.on_devices OUT [INDEX PORT]`.
+"""What one of two processes of two devices each does: `python -m tests.imaging.on_devices OUT INDEX PORT`.
 
-An image on two devices of one process, or a signature and a sweep as one of two processes.
+A signature and a sweep with the other one, on a device of each; then the first an image on its own two devices.
 """
 
 import sys
@@ -21,14 +21,14 @@ def camera():
     return jaxir.orthographic_camera(30.0, 20.0, 0.05, (40, 34))
 
 
-def scene(irradiance=100.0):
-    """A plate in the sun; its edges are where random numbers matter."""
-    return jaxir.Scene(plate(), sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), irradiance),))
+def scene(emissivity=0.5):
+    """A warm plate; its edges are where random numbers matter."""
+    return jaxir.Scene(plate(emissivity))
 
 
-def image(devices=None, irradiance=100.0):
+def image(devices=None, emissivity=0.5):
     """An image and its error."""
-    seen = jaxir.render(scene(irradiance), camera(), jaxir.LWIR, samples=4, devices=devices)
+    seen = jaxir.render(scene(emissivity), camera(), jaxir.LWIR, samples=4, devices=devices)
     return [np.asarray(leaf) for leaf in (seen.radiance, seen.standard_error)]
 
 
@@ -44,19 +44,20 @@ def assert_compiled_once(mesh):
     jax.monitoring.register_event_duration_secs_listener(
         lambda event, seconds, **_: compiled.append(seconds) if event.endswith("backend_compile_duration") else None
     )
-    brighter = image(mesh, 300.0)
+    brighter = image(mesh, 0.9)
     assert compiled == []
     assert brighter[0].sum() > image(mesh)[0].sum()
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 2:
-        jax.distributed.initialize(f"localhost:{sys.argv[3]}", 2, int(sys.argv[2]))
-    mesh = jax.sharding.Mesh(np.array(jax.devices()), ("devices",))
-    assert mesh.size == 2
-    np.savez(sys.argv[1], *(image(mesh) if len(sys.argv) == 2 else table(mesh)))
-    if len(sys.argv) > 2:
-        folder = Path(sys.argv[1]).parent / "sweep"
-        sweep(folder, scene(), VIEWS, jaxir.LWIR, shape=(24, 24), devices=mesh)
-    else:
-        assert_compiled_once(mesh)
+    out, index = Path(sys.argv[1]), int(sys.argv[2])
+    jax.distributed.initialize(f"localhost:{sys.argv[3]}", 2, index)
+    first, *_, last = jax.devices()
+    assert (first.process_index, last.process_index) == (0, 1) and len(jax.local_devices()) == 2
+    both = jax.sharding.Mesh(np.array([first, last]), ("devices",))
+    np.savez(out / f"process_{index}.npz", *table(both))
+    sweep(out / "sweep", scene(), VIEWS, jaxir.LWIR, shape=(24, 24), devices=both)
+    if index == 0:
+        own = jax.sharding.Mesh(np.array(jax.local_devices()), ("devices",))
+        np.savez(out / "devices.npz", *image(own))
+        assert_compiled_once(own)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.imaging import _choices
+from jaxir.imaging import _choices, _chunks
 from jaxir.imaging._adaptive import strata_of
 from jaxir.imaging._placement import MARGIN, Law, well_shaped_strata
 from tests.scenes import box_mesh
@@ -16,8 +16,8 @@ PLUME = jaxir.GridPlume(jaxir.Grid((-1.5, -0.4, -0.4), (0.4, 0.4, 0.4), (2, 2, 2
 SCENE = jaxir.Scene(jaxir.Skin(box_mesh(), WARM, jaxir.Lambert(0.7)), PLUME)
 
 
-def rendered(key, **asked):
-    return jaxir.render(SCENE, CAMERA, jaxir.MWIR, key=jax.random.key(key), **asked)
+def rendered(key, camera=CAMERA, **asked):
+    return jaxir.render(SCENE, camera, jaxir.MWIR, key=jax.random.key(key), method=jaxir.Method(), **asked)
 
 
 def test_neither_the_pixels_nor_their_sum_are_biased_and_the_errors_are_those_told():
@@ -43,10 +43,11 @@ def test_neither_the_pixels_nor_their_sum_are_biased_and_the_errors_are_those_to
 
 def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch):
     """As the plan says, without bias, as exact as asked, and with a part of the rays of an even image."""
-    even = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4)
+    monkeypatch.setattr(_chunks, "TOGETHER", (1,))  # one program for all numbers of rays
+    even = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4, method=jaxir.Method())
     monkeypatch.setattr(_choices, "LITTLE", 0)
     monkeypatch.setattr(_choices, "MORE", (12, 32))  # of a pilot that every image takes
-    plan = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4)
+    plan = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4, method=jaxir.Method())
     assert even.samples > 8 * _choices.EVEN and plan.samples < even.samples / 3
     assert "rays each in the mean, 8 of them to find where the others are needed" in str(plan)
     images = [rendered(key, rtol=3e-4) for key in range(24)]
@@ -69,8 +70,9 @@ def test_an_intensity_of_a_distant_target_takes_rays_in_its_pixels(monkeypatch):
     """Thirty in the mean, of which an even image takes 4000."""
     monkeypatch.setattr(_choices, "LITTLE", 0)
     monkeypatch.setattr(_choices, "MORE", (12, 32))
+    monkeypatch.setattr(_chunks, "TOGETHER", (1,))
     far = jaxir.orthographic_camera(30.0, 20.0, 0.6, CAMERA.shape)
-    images = [jaxir.render(SCENE, far, jaxir.MWIR, rtol=2e-3, key=jax.random.key(key)) for key in range(12)]
+    images = [rendered(key, far, rtol=2e-3) for key in range(12)]
     assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
     assert np.mean([int(image.samples) for image in images]) < 50
     intensity = np.array([image.radiant_intensity()[0] for image in images], float)
@@ -89,7 +91,8 @@ def test_edges_that_lie_along_pixels_are_not_missed():
     assert abs(apart.mean()) < 4 * apart.std() / len(images) ** 0.5
 
 
-def test_rays_lie_where_the_error_is():
+def test_rays_lie_where_the_error_is(monkeypatch):
+    monkeypatch.setattr(_chunks, "TOGETHER", (1,))
     adaptive, even = rendered(1, pixel_rtol=1e-2), rendered(1, samples=72, rtol=0.1)
     error = [np.sqrt((np.asarray(i.standard_error) ** 2).sum()) for i in (adaptive, even)]
     assert error[0] < 0.5 * error[1] and int(adaptive.samples) <= 72 / 3.5
@@ -98,11 +101,12 @@ def test_rays_lie_where_the_error_is():
 def test_a_scene_without_variance_takes_no_more_than_the_pilot():
     clear = jaxir.GridPlume(PLUME.grid, 500.0, jaxir.GrayGas(0.0))
     close = jaxir.orthographic_camera(35.0, 25.0, 1e-3, (32, 32), target=(0.5, 0.0, 0.0))  # one face fills the frame
-    image = jaxir.render(jaxir.Scene(SCENE.skin, clear), close, jaxir.MWIR, pixel_rtol=1e-3)
+    asked = {"pixel_rtol": 1e-3, "method": jaxir.Method()}
+    image = jaxir.render(jaxir.Scene(SCENE.skin, clear), close, jaxir.MWIR, **asked)
     assert bool(image.outcome == jaxir.Outcome.tolerance_met) and int(image.samples) == 8
-    assert float(image.radiance.min()) > 0
+    assert float(np.min(image.radiance)) > 0
     cold = jaxir.Skin(SCENE.skin.mesh, np.ones(12), jaxir.Lambert(0.7))  # nothing at all in the MWIR
-    assert float(jaxir.render(jaxir.Scene(cold, clear), CAMERA, jaxir.MWIR, pixel_rtol=1e-3).radiance.max()) == 0
+    assert float(np.max(jaxir.render(jaxir.Scene(cold, clear), CAMERA, jaxir.MWIR, **asked).radiance)) == 0
 
 
 def test_what_comes_with_the_radiance_is_averaged_by_the_same_rays():
@@ -183,8 +187,10 @@ def test_what_cannot_be_asked_is_refused(asked, message):
 
 
 @pytest.mark.parametrize("asked", [{"rtol": 0.1}, {"pixel_rtol": 0.1}, {"rtol": 0.1, "samples": 8}], ids=str)
-def test_a_target_smaller_than_a_pixel_is_found(asked):
+def test_a_target_smaller_than_a_pixel_is_found(asked, monkeypatch):
     """Amid four pixels of which it takes a twentieth each: of few rays most keys have none that meets it."""
+    if "samples" not in asked:
+        monkeypatch.setattr(_chunks, "TOGETHER", (1,))
     scene = jaxir.Scene(jaxir.Skin(box_mesh(), 320.0, jaxir.Lambert(0.7)))
     camera = jaxir.orthographic_camera(35.0, 25.0, 2.3, (16, 16))
     exact = float(jaxir.unoccluded_intensity(scene, 35.0, 25.0, jaxir.MWIR)[0])

@@ -7,7 +7,7 @@ import pytest
 
 import jaxir
 from jaxir.geometry import pixel_strata
-from jaxir.imaging import ErrorLaw, Pilot, _choices, error_law, estimate_chunk, pilot, well_shaped, whole_image
+from jaxir.imaging import ErrorLaw, Pilot, _choices, _chunks, error_law, estimate_chunk, pilot, well_shaped, whole_image
 from jaxir.imaging._chunks import as_number, first_pass
 from jaxir.imaging._devices import over_items
 from jaxir.imaging._pilot import OF_PILOTS
@@ -16,6 +16,12 @@ from tests.scenes import gray_box, plate
 CAMERA = jaxir.orthographic_camera(30.0, 20.0, 0.06, (48, 48))
 SUN = jaxir.ParallelSource((-1.0, 0.0, 0.0), 100.0)
 SUNLIT = jaxir.Scene(plate(), sources=(SUN,), background=jaxir.BlackbodyBackground(250.0))
+
+
+@pytest.fixture(autouse=True)
+def one_program(monkeypatch):
+    """For images of all numbers of rays."""
+    monkeypatch.setattr(_chunks, "TOGETHER", (1,))
 
 
 def test_a_plan_has_a_sentence_for_every_term():
@@ -27,20 +33,21 @@ def test_a_plan_has_a_sentence_for_every_term():
     assert [(term.name, term.exact) for term in lit.terms] == [(n, n not in (*names[3:5], "Pixels")) for n in names]
     assert lit.method == jaxir.Method(bounces=1).resolved(scene) and lit.bounces < 0.01  # the plume lights the plate
     assert "DirectSampling(1 of each light, 1 of the brdf) with Independent points, as by default" in str(lit)
-    del names[3:5]
-    found = jaxir.plan(scene, CAMERA, jaxir.LWIR, 0.02, method=jaxir.Method(direct=None))
-    assert [term.name for term in found.terms] == names
-    assert [term.exact for term in found.terms] == [True] * 5 + [False]
-    for told, expected in ((found, names), (lit, [term.name for term in lit.terms])):
-        lines = str(told).splitlines()
-        assert all(x.startswith(f"{name}: ") and x.endswith(".") for name, x in zip(expected, lines, strict=True))
+    bare = jaxir.plan(SUNLIT, CAMERA, jaxir.LWIR, 0.02)
+    in_vacuum = ["Emission", "Sources", "Reflected light", "Background", "Pixels"]
+    assert [term.name for term in bare.terms] == in_vacuum
+    found = jaxir.plan(SUNLIT, CAMERA, jaxir.LWIR, 0.02, method=jaxir.Method(direct=None))
+    assert [(term.name, term.exact) for term in found.terms] == [
+        (name, name != "Pixels") for name in in_vacuum if name != "Reflected light"
+    ]
+    for told in (lit, bare, found):
+        lines, terms = str(told).splitlines(), told.terms
+        assert all(x.startswith(f"{term.name}: ") and x.endswith(".") for term, x in zip(terms, lines, strict=True))
     depth = 0.5 * 1.0 / (np.cos(np.deg2rad(30.0)) * np.cos(np.deg2rad(20.0)))  # through two opposite faces
     depth_told = f"integrated along every ray, no sampling; the largest optical depth is {depth:.2g}."
-    assert all(str(told).splitlines()[0].endswith(depth_told) for told in (found, lit))
+    assert str(lit).splitlines()[0].endswith(depth_told)
     assert found.method.direct is None
-    assert found.seconds > 0 and found.compile_seconds > 0
-    bare = jaxir.plan(jaxir.Scene(plate()), CAMERA, jaxir.LWIR, 0.02)
-    assert [term.name for term in bare.terms] == ["Emission", "Pixels"]
+    assert all(told.seconds > 0 and told.compile_seconds > 0 for told in (lit, found))
 
 
 @pytest.mark.parametrize("rtol", [2e-2, 1.5e-3])
@@ -89,7 +96,7 @@ def test_an_absolute_error_is_enough_for_a_band_that_is_faint():
     bands, key = (jaxir.MWIR, jaxir.LWIR), jax.random.key(3)
     lit = jaxir.Scene(plate(), sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), [1.0, 100.0]),))
     every = jaxir.plan(lit, CAMERA, bands, 2e-3, key=key)
-    intensity = np.asarray(jaxir.render(lit, CAMERA, bands, samples=8).radiant_intensity())
+    intensity = np.asarray(jaxir.render(lit, CAMERA, bands, samples=8, rtol=0.5).radiant_intensity())
     assert intensity[0] < intensity[1] / 5
     alike = jaxir.plan(lit, CAMERA, bands, atol=2e-3 * float(intensity[1]), key=key)
     larger = jaxir.plan(lit, CAMERA, bands, 1e-5, atol=2e-3 * float(intensity[1]), key=key)
@@ -146,11 +153,11 @@ def test_a_smooth_field_is_foretold_between_the_pilots():
     grid = jaxir.Grid((-4.0, -0.5, -0.5), (0.25, 0.25, 0.25), (16, 4, 4))
     plume = jaxir.GridPlume(grid, 1200.0 + 150.0 * grid.centres()[..., 0], jaxir.GrayGas(1e-3))
     scene, camera = jaxir.Scene(plumes=plume), jaxir.orthographic_camera(40.0, 15.0, 0.15, (48, 48), (-1.0, 0.0, 0.0))
-    image = jaxir.render(scene, camera, jaxir.LWIR, samples=4)
+    image = jaxir.render(scene, camera, jaxir.LWIR, samples=4, rtol=0.5)
     rtol = float(image.intensity_error()[0] / image.radiant_intensity()[0])
     for key in range(3):
         found = jaxir.plan(scene, camera, jaxir.LWIR, rtol, key=jax.random.key(key))
-        image = jaxir.render(scene, camera, jaxir.LWIR, samples=found.samples, key=jax.random.key(9))
+        image = jaxir.render(scene, camera, jaxir.LWIR, samples=found.samples, rtol=0.5, key=jax.random.key(9))
         reached = float(image.intensity_error()[0] / image.radiant_intensity()[0])
         assert found.samples in (4, 6, 8) and 0.7 < reached / found.expected < 1.4
 
@@ -183,6 +190,7 @@ def test_particles_get_orders_where_those_leave_out_little_and_else_a_lattice(mo
     monkeypatch.setattr(_choices, "FEW_ORDERS", 10)  # fewer are one program more
     camera = jaxir.orthographic_camera(30.0, 20.0, 0.06, (16, 16))
     thin = jaxir.plan(cloud(0.02), camera, jaxir.MWIR, 0.05)
+    assert [term.name for term in thin.terms] == ["Plume", "Particles", "Pixels"]
     assert thin.method.orders == 10 and thin.method.scattering is None and thin.truncation < 1e-3
     image = jaxir.render(cloud(6.0), camera, jaxir.MWIR, rtol=0.07)
     thick = image.asked.method

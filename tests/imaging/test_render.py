@@ -1,5 +1,7 @@
 """The renderer against closed forms: plates, sunlit plates, gray boxes, and isothermal scenes."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -29,6 +31,14 @@ def test_emitting_plate_by_faces(angle, precision):
     np.testing.assert_allclose(np.asarray(got, float), np.cos(np.deg2rad(angle)) * np.array(PLATE_400), rtol=rtol)
 
 
+def sunlit(board, incidence=0.0, irradiance=100.0, transmittance=1.0, glow=0.0):
+    """A plate in the sun and in air, or with a dark sun and clear air: the same program."""
+    a = np.deg2rad(incidence)
+    sun = jaxir.ParallelSource((-np.cos(a), -np.sin(a), 0.0), irradiance)
+    air = jaxir.FixedPath(*(np.broadcast_to(x, (3,)) for x in (transmittance, glow)))
+    return jaxir.Scene(board, sources=(sun,), atmosphere=air)
+
+
 @pytest.mark.parametrize(("angle", "distance"), [(0.0, np.inf), (60.0, np.inf), (30.0, 11547.0)])
 def test_emitting_plate_by_image(angle, distance, precision):
     shape, size = (48, 48), 1.5
@@ -36,28 +46,25 @@ def test_emitting_plate_by_image(angle, distance, precision):
         camera = jaxir.orthographic_camera(angle, 0.0, size / 48, shape)
     else:
         camera = jaxir.perspective_camera(angle, 0.0, distance, size / 48 / distance, shape)
-    image = jaxir.render(jaxir.Scene(plate()), camera, BANDS, samples=18)
+    image = jaxir.render(sunlit(plate(), irradiance=0.0), camera, BANDS, samples=18)
     assert_within(image, np.cos(np.deg2rad(angle)) * np.array(PLATE_400), 0.01)
 
 
 @pytest.mark.parametrize("incidence", [0.0, 40.0])
 @pytest.mark.parametrize("view", [0.0, 70.0])
 def test_plate_under_a_parallel_source(incidence, view, precision):
-    a = np.deg2rad(incidence)
-    cold = plate(emissivity=0.5, temperature=3.0)
-    sun = jaxir.ParallelSource((-np.cos(a), -np.sin(a), 0.0), 100.0)
-    scene = jaxir.Scene(cold, sources=(sun,))
-    expected = 0.5 * 100.0 * np.cos(a) * np.cos(np.deg2rad(view)) / np.pi
-    got = jaxir.unoccluded_intensity(scene, view, 0.0, jaxir.MWIR)
-    np.testing.assert_allclose(got, [expected], rtol={"float32": 2e-6, "float64": 1e-9}[precision])
-    camera = jaxir.orthographic_camera(view, 0.0, 1.2 / 40, (40, 40))
-    assert_within(jaxir.render(scene, camera, jaxir.MWIR, samples=18), [expected], 0.02)
+    scene = sunlit(plate(temperature=3.0), incidence)
+    expected = np.full(3, 0.5 * 100.0 * np.cos(np.deg2rad(incidence)) * np.cos(np.deg2rad(view)) / np.pi)
+    got = jaxir.unoccluded_intensity(scene, view, 0.0, BANDS)
+    np.testing.assert_allclose(got, expected, rtol={"float32": 2e-6, "float64": 1e-9}[precision])
+    camera = jaxir.orthographic_camera(view, 0.0, 1.2 / 48, (48, 48))
+    assert_within(jaxir.render(scene, camera, BANDS, samples=18), expected, 0.02)
 
 
 def test_a_source_behind_the_plate_lights_nothing():
-    scene = jaxir.Scene(plate(temperature=3.0), sources=(jaxir.ParallelSource((1.0, 0.0, 0.0), 100.0),))
-    image = jaxir.render(scene, jaxir.orthographic_camera(0.0, 0.0, 1.2 / 40, (40, 40)), jaxir.MWIR, samples=18)
-    assert float(jnp.abs(image.radiance).max()) < 1e-30
+    scene = sunlit(plate(temperature=3.0), 180.0)
+    image = jaxir.render(scene, jaxir.orthographic_camera(0.0, 0.0, 1.2 / 48, (48, 48)), BANDS, samples=18)
+    assert np.abs(image.radiance).max() < 1e-12  # what 3 K emit
 
 
 def test_a_box_shades_the_plate_behind_it():
@@ -119,14 +126,14 @@ def test_the_place_of_an_oblique_jet_has_no_slope_in_either_precision(precision)
     """Nothing is behind it and its box moves with it; whatever the compiler computes anew, nothing is lost."""
     where = jnp.array([0.1, -0.2, 0.0]), jnp.array([-1.0, 0.15, 0.1])
 
+    @partial(jax.value_and_grad, argnums=(0, 1, 2))
     def intensity(nozzle, axis, diameter):
         jet = jaxir.JetPlume(nozzle, axis, diameter, 1100.0, 250.0, jaxir.GrayGas(0.5), length=20.0)
         return jaxir.plume_intensity(jaxir.Scene(plumes=jet), 30.0, 20.0, jaxir.MWIR, rays=256)[0]
 
-    at = (*where, jnp.asarray(0.5))
-    value, (nozzle, axis, diameter) = jax.value_and_grad(intensity, argnums=(0, 1, 2))(*at)
+    value, (nozzle, axis, diameter) = intensity(*where, 0.5)
     assert np.isfinite(axis).all() and float(np.abs(nozzle).max()) < 1e-5 * float(value)
-    more, less = (float(intensity(*where, jnp.asarray(0.5 + step))) for step in (0.005, -0.005))
+    more, less = (float(intensity(*where, 0.5 + step)[0]) for step in (0.005, -0.005))
     np.testing.assert_allclose(diameter, (more - less) / 0.01, rtol=1e-3)
 
 
@@ -135,6 +142,8 @@ def test_the_shape_of_a_jet_beside_cells_has_the_slopes_of_an_image(x64):
     cells = jaxir.Grid((-4.0, -0.6, -0.6), (4.0, 0.6, 1.2), (1, 2, 1))
     cloud = jaxir.GridPlume(cells, 900.0, jaxir.GrayGas(np.array([0.1, 2.0]).reshape(1, 2, 1, 1)))
 
+    @jax.jit
+    @jax.value_and_grad
     def intensity(shape):
         where = (0.2, 0.1, 0.0), (-1.0, 0.1, 0.0)
         jet = jaxir.JetPlume(*where, 0.6, 1400.0, 250.0, jaxir.GrayGas(0.5), spreading=shape[0], length=shape[1])
@@ -142,8 +151,8 @@ def test_the_shape_of_a_jet_beside_cells_has_the_slopes_of_an_image(x64):
 
     shape = np.array([0.2, 12.0])
     step = np.diag(0.05 * shape)
-    expected = [(intensity(shape + h) - intensity(shape - h)) / (2 * h.sum()) for h in step]
-    np.testing.assert_allclose(jax.grad(intensity)(shape), expected, rtol=0.1)
+    expected = [(intensity(shape + h)[0] - intensity(shape - h)[0]) / (2 * h.sum()) for h in step]
+    np.testing.assert_allclose(intensity(shape)[1], expected, rtol=0.1)
 
 
 def test_a_pixel_inside_a_homogeneous_box_has_no_error(precision):
@@ -155,55 +164,60 @@ def test_a_pixel_inside_a_homogeneous_box_has_no_error(precision):
     assert float(image.standard_error.max()) <= 3e-7 * black
 
 
-def isothermal_scene(temperature, emissivity=1.0):
-    mesh = box_mesh((0.6, 0.8, 0.7), (0.3, 0.0, 0.0))
-    return jaxir.Scene(
-        skin=jaxir.Skin(mesh, temperature, jaxir.Lambert(emissivity)),
-        plumes=gray_box((3.0, 1.0, 1.0), np.linspace(0.0, 4.0, 60).reshape(4, 3, 5, 1), temperature=temperature),
-        background=jaxir.BlackbodyBackground(temperature),
-    )
+def body_and_gas(size, place, skin, emissivity, box, coefficient, gas, around, sun):
+    """A box of skin, one of gas, a sky and a beam from in front: one structure, drawn in three bands."""
+    mesh, coefficient = box_mesh(size, place), np.broadcast_to(coefficient, (4, 3, 5, 1))
+    beam, sky = jaxir.ParallelSource((-1.0, 0.0, 0.0), sun), jaxir.BlackbodyBackground(around)
+    surface = jaxir.Skin(mesh, skin, jaxir.Lambert(emissivity))
+    return jaxir.Scene(surface, gray_box(box, coefficient, temperature=gas), beam, sky)
+
+
+def look_from(azimuth, elevation, pixel, scene):
+    """What is black reflects nothing: no light of the sky is looked for."""
+    camera, method = jaxir.orthographic_camera(azimuth, elevation, pixel, (32, 32)), jaxir.Method(direct=None)
+    return jaxir.render(scene, camera, BANDS, samples=2, method=method).radiance
+
+
+def black_in_bands(temperature):
+    return np.asarray(jaxir.band_radiance(jnp.asarray(temperature), gray_nodes(BANDS)))
 
 
 @pytest.mark.parametrize("view", [(0.0, 0.0), (35.0, 20.0), (180.0, -70.0), (90.0, 90.0)])
 def test_an_isothermal_scene_is_a_blackbody(view, precision):
-    scene, method = isothermal_scene(700.0), jaxir.Method(direct=None)  # what is black reflects nothing
-    image = jaxir.render(scene, jaxir.orthographic_camera(*view, 0.15, (32, 32)), BANDS, samples=2, method=method)
+    coefficient = np.linspace(0.0, 4.0, 60).reshape(4, 3, 5, 1)
+    body, box = ((0.6, 0.8, 0.7), (0.3, 0.0, 0.0)), (3.0, 1.0, 1.0)
+    seen = look_from(*view, 0.15, body_and_gas(*body, 700.0, 1.0, box, coefficient, 700.0, 700.0, 0.0))
     rtol = {"float32": 1e-6, "float64": 1e-12}[precision]
-    shown = np.broadcast_to(jaxir.band_radiance(scene.skin.temperature[0], gray_nodes(BANDS)), image.radiance.shape)
-    np.testing.assert_allclose(image.radiance, shown, rtol=rtol)
+    np.testing.assert_allclose(seen, np.broadcast_to(black_in_bands(700.0), seen.shape), rtol=rtol)
+
+
+def board_and_gas(x, emissivity, skin, gas, coefficient, width=1.0, sun=0.0):
+    """A board as wide as what is seen, with its front in the plane x, and gas about the origin."""
+    board = (0.1, 0.8, 0.8), (x - 0.05, 0.0, 0.0)
+    return body_and_gas(*board, skin, emissivity, (1.0, width, width), coefficient, gas, 3.0, sun)
 
 
 def test_skin_behind_the_plume_is_dimmed_and_skin_in_front_hides_it(precision):
-    kappa, length = 0.8, 1.0
-    cold_gas = gray_box((length, 1.0, 1.0), kappa, temperature=3.0)
-    behind = plate(emissivity=1.0, temperature=500.0, x=-2.0)
-    camera = jaxir.orthographic_camera(0.0, 0.0, 0.05, (16, 16))
-    black = np.asarray(jaxir.band_radiance(jnp.asarray(500.0), gray_nodes((jaxir.LWIR,))))
+    kappa, shape = 0.8, (32, 32, 3)
+    black = black_in_bands(500.0)
     rtol = {"float32": 2e-6, "float64": 1e-9}[precision]
-    dark = jaxir.ParallelSource((-1.0, 0.0, 0.0), 0.0)
-    dimmed = jaxir.render(jaxir.Scene(behind, cold_gas, dark), camera, jaxir.LWIR, samples=2).radiance
-    np.testing.assert_allclose(dimmed, np.full((16, 16, 1), black * np.exp(-kappa * length)), rtol=rtol)
-    front = plate(emissivity=1.0, temperature=500.0, x=2.0)
-    hot_gas = gray_box((length, 1.0, 1.0), kappa, temperature=2000.0)
-    hidden = jaxir.render(jaxir.Scene(front, hot_gas, dark), camera, jaxir.LWIR, samples=2).radiance
-    np.testing.assert_allclose(hidden, np.full((16, 16, 1), black), rtol=rtol)
+    dimmed = look_from(0.0, 0.0, 0.025, board_and_gas(-2.0, 1.0, 500.0, 3.0, kappa))
+    np.testing.assert_allclose(dimmed, np.broadcast_to(black * np.exp(-kappa), shape), rtol=rtol)
+    hidden = look_from(0.0, 0.0, 0.025, board_and_gas(2.0, 1.0, 500.0, 2000.0, kappa))
+    np.testing.assert_allclose(hidden, np.broadcast_to(black, shape), rtol=rtol)
 
 
 def test_the_plume_shades_the_skin_from_the_sun(precision):
-    gas = gray_box((1.0, 4.0, 4.0), 0.6, temperature=3.0)
-    behind = plate(emissivity=0.2, temperature=3.0, x=-2.0)
-    scene = jaxir.Scene(behind, gas, sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 50.0),))
-    image = jaxir.render(scene, jaxir.orthographic_camera(0.0, 0.0, 0.05, (16, 16)), jaxir.LWIR, samples=2)
-    expected = 0.8 / np.pi * 50.0 * np.exp(-2 * 0.6)
-    np.testing.assert_allclose(image.radiance, np.full((16, 16, 1), expected), rtol=1e-5)
+    image = look_from(0.0, 0.0, 0.025, board_and_gas(-2.0, 0.2, 3.0, 3.0, 0.6, width=4.0, sun=50.0))
+    np.testing.assert_allclose(image, np.full((32, 32, 3), 0.8 / np.pi * 50.0 * np.exp(-2 * 0.6)), rtol=1e-5)
 
 
 def test_the_air_dims_and_glows_over_everything():
-    board = jaxir.Scene(plate(emissivity=1.0))
     camera = jaxir.orthographic_camera(0.0, 0.0, 1.5 / 48, (48, 48))
-    clear = jaxir.render(board, camera, BANDS, samples=18)
-    air = jaxir.FixedPath([0.9, 0.8, 0.7], [0.1, 0.2, 0.3])
-    hazy = jaxir.render(jaxir.Scene(board.skin, atmosphere=air), camera, BANDS, samples=18)
+    clear, hazy = (
+        jaxir.render(sunlit(plate(emissivity=1.0), 0.0, 0.0, *air), camera, BANDS, samples=18)
+        for air in ((1.0, 0.0), ([0.9, 0.8, 0.7], [0.1, 0.2, 0.3]))
+    )
     np.testing.assert_allclose(
         hazy.radiance, np.asarray(clear.radiance) * [0.9, 0.8, 0.7] + np.array([0.1, 0.2, 0.3], np.float32), rtol=1e-5
     )
@@ -274,7 +288,9 @@ def with_error(image):
 
 def test_the_error_of_what_is_faint_is_not_lost():
     """Squares of 1e-25 are none in single precision."""
-    image = jaxir.render(jaxir.Scene(plate()), jaxir.orthographic_camera(20.0, 0.0, 0.09, (16, 16)), jaxir.MWIR)
+    image = jaxir.render(
+        jaxir.Scene(plate()), jaxir.orthographic_camera(20.0, 0.0, 0.09, (16, 16)), jaxir.MWIR, samples=4
+    )
     faint = eqx.tree_at(lambda i: i.standard_error, image, image.standard_error * 1e-25)
     np.testing.assert_allclose(faint.intensity_error() * 1e25, image.intensity_error(), rtol=1e-5)
 

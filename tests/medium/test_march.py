@@ -59,17 +59,26 @@ def by_march(grid, rays, t_max):
 ROUTES = {"march": by_march, "list": by_list}
 
 
+def linearized(function, primals, tangents, weight):
+    """A value, its derivative along tangents, and what `weight` on it pulls back."""
+    found, along = jax.linearize(function, *primals)
+    return found, along(*tangents), jax.linear_transpose(along, *primals)(weight)
+
+
+@partial(jax.jit, static_argnames="name")
+def in_both_modes(name, grid, rays, t_max, fields, tangents, weight):
+    return linearized(ROUTES[name](grid, rays, t_max), fields, tangents, weight)
+
+
 @pytest.mark.parametrize("case", DEPTHS)
 def test_march_list_and_reference_agree(case, precision):
     grid, rays, t_max, extinction, emission, behind = scene(case)
     mu, j = (np.asarray(x, float).reshape(-1, NODES) for x in (extinction, emission))
     want, scale = np.zeros(behind.shape), 2.0 if case != "thin" else 1.0
-    for ray in range(rays.count):
-        cell, length = reference_crossings(
-            grid.origin, grid.spacing, SHAPE, *(np.asarray(x[ray], float) for x in (rays.origin, rays.direction)),
-            float(t_max[ray]),
-        )  # fmt: skip
-        want[ray] = reference_radiance(cell, length, mu, j, np.asarray(behind[ray], float))
+    given = (np.asarray(x, float) for x in (rays.origin, rays.direction, t_max, behind))
+    for row, (start, direction, end, light) in zip(want, zip(*given, strict=True), strict=True):
+        cell, length = reference_crossings(grid.origin, grid.spacing, SHAPE, start, direction, end)
+        row[:] = reference_radiance(cell, length, mu, j, light)
     for route in ROUTES.values():
         got = route(grid, rays, t_max)(extinction, emission, behind)
         error = np.abs(np.asarray(got) - want)
@@ -85,58 +94,63 @@ def test_gradients_of_march_equal_those_of_the_list_in_both_modes(case, precisio
     grid, rays, t_max, *fields = scene(case, seed=1)
     rng = np.random.default_rng(2)
     weight = as_float(rng.normal(size=fields[2].shape))
-    tangents = tuple(as_float(rng.normal(size=x.shape)) * x for x in fields)
-    pushed, pulled = [], []
-    for route in ROUTES.values():
-        function = route(grid, rays, t_max)
-        pushed.append(jax.jvp(function, tuple(fields), tangents)[1])
-        pulled.append(jax.vjp(function, *fields)[1](weight))
+    tangents = tuple(as_float(rng.normal(size=x.shape) * np.asarray(x)) for x in fields)
+    found = [in_both_modes(name, grid, rays, t_max, tuple(fields), tangents, weight) for name in ROUTES]
+    _, pushed, pulled = zip(*jax.device_get(found), strict=True)
     limit = 1e-5 if precision == "float32" else 1e-11
-    np.testing.assert_allclose(*pushed, rtol=limit, atol=limit * float(jnp.abs(pushed[1]).max()))
+    np.testing.assert_allclose(*pushed, rtol=limit, atol=limit * np.abs(pushed[1]).max())
     for ours, theirs in zip(*pulled, strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=limit, atol=limit * float(jnp.abs(theirs).max()))
-    inner = sum(float(jnp.vdot(a, b)) for a, b in zip(pulled[0], tangents, strict=True))
-    np.testing.assert_allclose(inner, float(jnp.vdot(weight, pushed[0])), rtol=20 * limit)
+        np.testing.assert_allclose(ours, theirs, rtol=limit, atol=limit * np.abs(theirs).max())
+    inner = sum(np.vdot(a, b) for a, b in zip(pulled[0], tangents, strict=True))
+    np.testing.assert_allclose(inner, np.vdot(weight, pushed[0]), rtol=20 * limit)
 
 
 def test_gradients_of_march_equal_central_differences(x64):
     grid, rays, t_max, extinction, emission, behind = scene("mixed", seed=3)
-    extinction, emission = jnp.minimum(extinction, 20.0), jnp.minimum(emission, 20.0)
+    extinction, emission = (as_float(np.minimum(x, 20.0)) for x in (extinction, emission))
 
     def total(scale):
         return jnp.sum(march(grid, extinction * scale[0], emission * scale[1], rays, t_max, behind * scale[2]) ** 2)
 
-    at, step = jnp.ones(3), 1e-5
-    want = [(total(at.at[i].add(step)) - total(at.at[i].add(-step))) / (2 * step) for i in range(3)]
-    np.testing.assert_allclose(jax.grad(total)(at), want, rtol=1e-6)
-    np.testing.assert_allclose(jax.jacfwd(total)(at), want, rtol=1e-6)
+    modes = jax.jit(lambda scale: (total(scale), jax.grad(total)(scale), jax.jacfwd(total)(scale)))
+    at, step = np.ones(3), 1e-5
+    ends = [[modes(as_float(at + sign * step * unit))[0] for sign in (1, -1)] for unit in np.eye(3)]
+    want = [(float(after) - float(before)) / (2 * step) for after, before in ends]
+    for found in modes(as_float(at))[1:]:
+        np.testing.assert_allclose(found, want, rtol=1e-6)
 
 
 def test_march_works_under_every_transformation(x64):
     grid, rays, t_max, extinction, emission, behind = scene("mixed", seed=4)
-    scales = jnp.array([0.5, 1.0, 2.0])
+    scales = as_float([0.5, 1.0, 2.0])
 
     def one(at, scale):
         return march(grid, extinction * scale * at[0], emission * at[1], rays, t_max, behind * at[2]).sum()
 
-    at = jnp.ones(3)
-    slope = jax.jit(jax.grad(one))
-    want = sum(slope(at, scale) for scale in scales)
+    at, fields = as_float(np.ones(3)), (extinction, emission, behind)
+    slopes, sent = [], as_float(np.ones(behind.shape))
+    for scale in np.asarray(scales):
+        scaled = (as_float(scale * np.asarray(extinction)), emission, behind)
+        _, _, pulled = in_both_modes("march", grid, rays, t_max, scaled, fields, sent)
+        slopes.append([np.vdot(a, b) for a, b in zip(pulled, scaled, strict=True)])
     runs = {
-        "vmap": lambda at: jax.vmap(one, (None, 0))(at, scales).sum(),
-        "scan": lambda at: jax.lax.scan(lambda c, s: (c + one(at, s), None), jnp.zeros(()), scales)[0],
-        "checkpoint": jax.checkpoint(lambda at: jax.vmap(one, (None, 0))(at, scales).sum()),
+        "vmap": (lambda at: jax.vmap(one, (None, 0))(at, scales).sum(), np.sum(slopes, axis=0)),
+        "scan": (
+            lambda at: jax.lax.scan(lambda c, s: (c + one(at, s), None), jnp.zeros(()), scales)[0],
+            np.sum(slopes, axis=0),
+        ),
+        "checkpoint": (jax.checkpoint(lambda at: one(at, scales[0])), slopes[0]),
     }
-    both = (jax.grad, jax.jacfwd)
-    for found in jax.jit(lambda at: [mode(run)(at) for run in runs.values() for mode in both])(at):
-        np.testing.assert_allclose(found, want, rtol=1e-10)
+    found = jax.jit(lambda at: [[mode(run)(at) for mode in (jax.grad, jax.jacfwd)] for run, _ in runs.values()])(at)
+    for (_, want), both in zip(runs.values(), found, strict=True):
+        for slope in both:
+            np.testing.assert_allclose(slope, want, rtol=1e-10)
 
     def many(at):
         return march(grid, extinction * at[0], emission * at[1], rays, t_max, behind * at[2])[:4]
 
     np.testing.assert_allclose(*jax.jit(lambda at: [jax.jacfwd(many)(at), jax.jacrev(many)(at)])(at), rtol=1e-10)
     for argument in range(3):  # one differentiated operand at a time takes other paths through the rules
-        fields = [extinction, emission, behind]
 
         def single(value, argument=argument, fields=fields):
             inputs = [*fields[:argument], value, *fields[argument + 1 :]]
@@ -144,8 +158,7 @@ def test_march_works_under_every_transformation(x64):
 
         @jax.jit
         def sums(tangent, single=single):
-            pushed = jax.jvp(single, (tangent,), (tangent,))[1]
-            pulled = jax.vjp(single, tangent)[1](jnp.ones_like(behind))[0]
+            _, pushed, (pulled,) = linearized(single, (tangent,), (tangent,), jnp.ones_like(behind))
             return jnp.vdot(pulled, tangent), pushed.sum()
 
         np.testing.assert_allclose(*sums(fields[argument]), rtol=1e-10)
@@ -175,36 +188,44 @@ def test_geometry_has_no_derivative(x64):
 
 def test_transmittance_and_its_gradient(precision):
     grid, rays, t_max, extinction, _, _ = scene("mixed", seed=7)
-    extinction = jnp.minimum(extinction, as_float(30.0))
-    got = transmittance(grid, extinction, rays, t_max)
-    lists = crossings(grid, rays, t_max)
+    extinction = as_float(np.minimum(extinction, 30.0))
+    weight = as_float(np.random.default_rng(8).normal(size=(rays.count, NODES)))
 
-    def depth(mu):
-        return jnp.sum(mu.reshape(-1, NODES)[lists.cell] * lists.length[..., None], axis=1)
+    @jax.jit
+    def both(extinction):
+        lists = crossings(grid, rays, t_max)
 
+        def depth(mu):
+            return jnp.sum(mu.reshape(-1, NODES)[lists.cell] * lists.length[..., None], axis=1)
+
+        def marched(mu):
+            return transmittance(grid, mu, rays, t_max)
+
+        ours, theirs = (
+            linearized(function, (extinction,), (extinction,), weight)
+            for function in (marched, lambda mu: jnp.exp(-depth(mu)))
+        )
+        bent = jax.hessian(lambda s: optical_depth(grid, s * extinction, rays, t_max).sum())(as_float(1.0))
+        return ours, theirs, -depth(extinction) * ours[0], bent
+
+    (got, along, (pulled,)), (expected, _, (wanted,)), slope, bent = jax.device_get(both(extinction))
     limit = 2e-5 if precision == "float32" else 1e-12
-    np.testing.assert_allclose(got, jnp.exp(-depth(extinction)), rtol=limit)
-    weight = as_float(np.random.default_rng(8).normal(size=got.shape))
-    ours = jax.grad(lambda mu: jnp.vdot(weight, transmittance(grid, mu, rays, t_max)))(extinction)
-    theirs = jax.grad(lambda mu: jnp.vdot(weight, jnp.exp(-depth(mu))))(extinction)
-    np.testing.assert_allclose(ours, theirs, atol=limit * float(jnp.abs(theirs).max()))
-    along = jax.jvp(lambda mu: transmittance(grid, mu, rays, t_max), (extinction,), (extinction,))[1]
-    np.testing.assert_allclose(along, -depth(extinction) * got, atol=limit)
-    bent = jax.hessian(lambda s: optical_depth(grid, s * extinction, rays, t_max).sum())(as_float(1.0))
+    np.testing.assert_allclose(got, expected, rtol=limit)
+    np.testing.assert_allclose(pulled, wanted, atol=limit * np.abs(wanted).max())
+    np.testing.assert_allclose(along, slope, atol=limit)
     assert float(bent) == 0
 
 
 @pytest.mark.parametrize("depth", [0.0, 1e-38, 1e-30, 1e-8, 1e4, 1e30])
 def test_no_nan_at_extreme_depths(depth, precision):
     grid, rays, t_max, extinction, _, behind = scene("thin", seed=9)
-    extinction = jnp.full_like(extinction, depth)
-    for route in ROUTES.values():
-        radiance, pull = jax.vjp(route(grid, rays, t_max), extinction, extinction * 2, behind)
-        assert np.isfinite(radiance).all()
-        assert all(np.isfinite(x).all() for x in pull(jnp.ones_like(behind)))
-        assert np.isfinite(
-            jax.jvp(route(grid, rays, t_max), (extinction, extinction, behind), (extinction,) * 2 + (behind,))[1]
-        ).all()
+    extinction, double = (as_float(np.full(extinction.shape, times * depth)) for times in (1, 2))
+    one = as_float(np.ones(behind.shape))
+    for name in ROUTES:
+        for emission in (extinction, double):
+            given = (extinction, emission, behind), (extinction, extinction, behind)
+            found = in_both_modes(name, grid, rays, t_max, *given, one)
+            assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
 
 
 def test_shapes_that_disagree_are_named():
@@ -233,8 +254,7 @@ def test_no_rays_and_one_ray(precision):
 
 
 def uniform(grid, mu, source):
-    field = jnp.full((*grid.shape, 1), mu)
-    return as_float(field), as_float(field * source)
+    return tuple(as_float(np.full((*grid.shape, 1), value)) for value in (mu, mu * source))
 
 
 @pytest.mark.parametrize("route", ROUTES)
@@ -259,8 +279,8 @@ def test_gray_box_intensity(route, mu, source, depth, want, precision):
         rays = parallel_rays(start, [-c, -s, 0])
         dark = as_float(np.zeros((rays.count, 1)))
         far = as_float(np.full(rays.count, np.inf))
-        radiance = ROUTES[route](grid, rays, far)(*uniform(grid, as_float(mu), as_float(source)), dark)
-        intensity = np.asarray(radiance[:, 0], float) @ area
+        radiance = ROUTES[route](grid, rays, far)(*uniform(grid, mu, source), dark)
+        intensity = np.asarray(radiance, float)[:, 0] @ area
         np.testing.assert_allclose(intensity, expected, rtol=2e-5 if precision == "float32" else 1e-6)
 
 
@@ -335,17 +355,16 @@ def test_a_million_rays_add_to_one_number_in_single_precision(backend, monkeypat
     """Their cotangents, one after the other, lost .2 and .7 % of the gradients of one cell."""
     count, mu, j, reach = 1_000_000 + (backend == "gpu"), 0.7, 300.0, 1.0
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
-    at = jnp.full((count, 3), jnp.asarray([-1.0, 0.4, 0.6]))
-    rays = Rays(at, jnp.zeros_like(at).at[:, 0].set(1))
+    rays = parallel_rays(np.tile([-1.0, 0.4, 0.6], (count, 1)), [1.0, 0.0, 0.0])
     grid = Grid((0.0, 0.0, 0.0), (reach, 1.0, 1.0), (1, 1, 1))
 
-    def total(mu, j):
+    def total(mu, j, rays):
         cells = [jnp.full((1, 1, 1, 1), x) for x in (mu, j)]
         dark = jnp.zeros((count, 1))
         weights = jnp.full((count, 1), 1.03)
         return jnp.sum(weights * march(grid, *cells, rays, jnp.full(count, jnp.inf), dark)) / count
 
-    got = jax.jit(jax.grad(total, (0, 1)))(mu, j)
+    got = jax.jit(jax.grad(total, (0, 1)))(mu, j, rays)
     u = mu * reach
     mean, slope = -np.expm1(-u) / u, (np.exp(-u) * (1 + u) - 1) / u**2  # of exp(-u), and its derivative
     np.testing.assert_allclose(got, [1.03 * j * reach**2 * slope, 1.03 * reach * mean], rtol=2e-5)

@@ -17,7 +17,7 @@ from studies import co2_lines as truth
 ATMOSPHERE = truth.ATMOSPHERE
 BAND = Band("4.3", 1e4 / 2400, 1e4 / 2000)
 NODES = resolved_nodes(BAND, width=25.0)
-TEMPERATURES, PRESSURES = (250.0, 300.0, 400.0, 600.0, 900.0, 1300.0, 1800.0, 2400.0), (5e3, 15e3, 40e3, 1e5, 2.5e5)
+TEMPERATURES, PRESSURES = (250.0, 300.0, 400.0, 600.0, 900.0, 1300.0, 1650.0, 2000.0), (5e3, 15e3, 40e3, 1e5, 2.5e5)
 AIR = {"level": StandardAtmosphere(10e3, 10e3, 5e3), "ground": StandardAtmosphere(0.0, 10e3, 11544.0)}
 CO2_IN_AIR = 400e-6
 
@@ -160,15 +160,16 @@ def absorption(table, nodes, temperature, pressure, amount):
 
 def test_fields_of_cells_and_scalars_agree(raw_table):
     table, nodes = raw_table, NODES
-    hot = jnp.linspace(280.0, 2000.0, 6).reshape(2, 3)
-    full = absorption(table, nodes, hot, jnp.full((2, 3), PLUME), jnp.full((2, 3), 0.06))
+    hot = np.linspace(280.0, 2000.0, 6).reshape(2, 3)
+
+    def found(*state):
+        return np.asarray(absorption(table, nodes, *(jnp.asarray(x, np.float32) for x in state)))
+
+    full = found(hot, np.full((2, 3), PLUME), np.full((2, 3), 0.06))
     assert full.shape == (2, 3, nodes.count) and full.dtype == np.float32
-    for pressure, amount in ((PLUME, 0.06), (jnp.full((2, 3), PLUME), 0.06), (PLUME, jnp.full((2, 3), 0.06))):
-        some = absorption(table, nodes, hot, jnp.asarray(pressure), jnp.asarray(amount))
-        assert np.allclose(some, full, rtol=1e-4)
-    assert np.allclose(
-        absorption(table, nodes, hot[1, 1], jnp.asarray(PLUME), jnp.asarray(0.06)), full[1, 1], rtol=1e-4
-    )
+    for pressure, amount in ((PLUME, 0.06), (np.full((2, 3), PLUME), 0.06), (PLUME, np.full((2, 3), 0.06))):
+        assert np.allclose(found(hot, pressure, amount), full, rtol=1e-4)
+    assert np.allclose(found(hot[1, 1], PLUME, 0.06), full[1, 1], rtol=1e-4)
 
 
 def test_single_precision_is_enough(raw_table):
@@ -183,20 +184,18 @@ def test_gradients_match_differences_in_both_modes(raw_table, x64):
     table, nodes = cast(raw_table), cast(NODES)
     weight = band_radiance(jnp.asarray(1000.0), nodes)
 
-    @jax.jit
     def value(p):
         gas = CorrelatedK([table], p[1] * 1e4, {"CO2": p[2]})
         return (-jnp.expm1(-0.1 * gas.absorption(nodes, p[0] * 100)) * weight).sum()
 
-    backward, onward = jax.jit(jax.grad(value)), jax.jit(jax.jacfwd(value))
+    every = jax.jit(lambda p: (*jax.value_and_grad(value)(p), jax.jacfwd(value)(p)))
     for temperature, pressure in ((220.0, 3.0), (600.0, 4.0), (777.0, 0.3), (1300.0, 3.0), (2600.0, 30.0)):
-        at = jnp.asarray([temperature / 100, pressure, 0.06])
-        reverse = backward(at)
-        assert np.allclose(reverse, onward(at), rtol=1e-10)
-        for i in range(3):
-            change = jnp.zeros(3).at[i].set(1e-5 * at[i])
-            central = (value(at + change) - value(at - change)) / (2e-5 * at[i])
-            assert float(reverse[i]) == pytest.approx(float(central), rel=1e-5)
+        at = np.array([temperature / 100, pressure, 0.06])
+        _, reverse, forward = map(np.asarray, every(jnp.asarray(at)))
+        assert np.allclose(reverse, forward, rtol=1e-10)
+        for i, change in enumerate(np.diag(1e-5 * at)):
+            after, before = (float(every(jnp.asarray(at + sign * change))[0]) for sign in (1, -1))
+            assert float(reverse[i]) == pytest.approx((after - before) / (2e-5 * at[i]), rel=1e-5)
 
 
 def test_no_step_in_value_or_slope_across_levels(raw_table, x64):
@@ -234,7 +233,7 @@ def test_beyond_the_table_the_tangent_goes_on(raw_table, x64):
     def log_sigma(temperature, pressure, amount):
         return jnp.log(table.at(*(jnp.asarray(float(x)) for x in (temperature, pressure, amount))))
 
-    for inverse in (1 / 250, 1 / 2400):  # in 1/T
+    for inverse in (1 / TEMPERATURES[0], 1 / TEMPERATURES[-1]):  # in 1/T
         start, near, far = (
             log_sigma(1 / (inverse * (1 + e * (1 if inverse > 1e-3 else -1))), 3e4, 0.06) for e in (0, 0.01, 0.2)
         )
@@ -254,7 +253,7 @@ def test_cross_sections_of_any_temperature_are_finite(temperature):
     levels = [300.0, 1000.0, 2500.0]
     sigma = np.array([1e-20, 1e-24, 1e-27])[:, None, None, None] * np.ones((3, 1, 1, NODES.count))
     table = CrossSections("CO2", NODES, levels, [1e5], [0.1], sigma)
-    seen = jax.value_and_grad(lambda t: jnp.sum(table.at(t, jnp.asarray(1e5), jnp.asarray(0.1))))
+    seen = jax.jit(jax.value_and_grad(lambda t: jnp.sum(table.at(t, jnp.asarray(1e5), jnp.asarray(0.1)))))
     assert np.all(np.isfinite(seen(jnp.asarray(temperature))))
     cold = [float(seen(jnp.asarray(200.0 + d))[1]) for d in (-0.01, 0.01)]
     assert cold[0] == pytest.approx(cold[1], rel=2e-2)
@@ -279,8 +278,8 @@ def test_gas_that_is_not_there_has_a_finite_gradient(raw_table, precision):
     def value(x):
         return absorption(table, nodes, hot, jnp.asarray(3e4), x).sum()
 
-    slope = jax.grad(value)(jnp.asarray(0.0))
-    assert bool(jnp.isfinite(slope)) and float(slope) > 0 and float(value(jnp.asarray(0.0))) == 0
+    without, slope = jax.jit(jax.value_and_grad(value))(jnp.asarray(0.0))
+    assert np.isfinite(slope) and float(slope) > 0 and float(without) == 0
 
 
 def test_air_dilutes(raw_table):

@@ -1,3 +1,5 @@
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -43,8 +45,8 @@ def test_thin_limit_is_the_table(x64):
 def test_species_add_and_absent_ones_cost_nothing():
     nodes = resolved_nodes(MWIR)
     hot = jnp.asarray([400.0, 1400.0])
-    both = absorption(NarrowBandGas(3e4, h2o=0.1, co2=0.05), nodes, hot)
-    assert both.shape == (2, nodes.count) and bool((both > 0).all())
+    both = np.asarray(absorption(NarrowBandGas(3e4, h2o=0.1, co2=0.05), nodes, hot))
+    assert both.shape == (2, nodes.count) and (both > 0).all()
     dry = NarrowBandGas(3e4, co2=0.05)
     assert dry.h2o is None and dry.co is None
     one = jax.make_jaxpr(lambda g, t: g.absorption(nodes, t))(dry, hot)
@@ -52,15 +54,14 @@ def test_species_add_and_absent_ones_cost_nothing():
     assert str(one).count("log ") < str(two).count("log ")
 
 
-@pytest.mark.optimised
 def test_cells_may_have_any_shape(precision):
     nodes = single_bin(2325.0)
-    hot = jnp.linspace(300, 2000, 12).reshape(2, 3, 2)
-    gas = NarrowBandGas(jnp.full((2, 3, 2), 3e4), co2=0.1)
-    kappa = absorption(gas, nodes, hot)
+    hot = np.linspace(300, 2000, 12).reshape(2, 3, 2)
+    gas = NarrowBandGas(np.full((2, 3, 2), 3e4), co2=0.1)
+    kappa = absorption(gas, nodes, jnp.asarray(hot, precision))
     assert kappa.shape == (2, 3, 2, nodes.count) and kappa.dtype == np.dtype(precision)
-    alone = absorption(NarrowBandGas(3e4, co2=0.1), nodes, hot[1, 2, 1])
-    assert np.allclose(kappa[1, 2, 1], alone, rtol=1e-5)
+    alone = absorption(NarrowBandGas(3e4, co2=0.1), nodes, jnp.asarray(hot[1, 2, 1], precision))
+    assert np.allclose(np.asarray(kappa)[1, 2, 1], alone, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +137,7 @@ def test_pairs_of_quantiles_let_two_gases_overlap_at_random():
     gas = NarrowBandGas(0.3 * ATMOSPHERE, **PRODUCTS)
 
     def mean(nodes, kappa):
-        return float(jnp.exp(-path * kappa) @ nodes.weight)
+        return float(np.exp(-path * np.asarray(kappa)) @ np.asarray(nodes.weight))
 
     alone = [
         mean(plain, absorption(eqx.tree_at(where, gas, jnp.asarray(1e-12)), plain, hot))
@@ -163,10 +164,10 @@ def test_no_step_in_value_or_slope_across_table_temperatures(x64):
 @pytest.mark.parametrize("temperature", [180.0, 255.0, 2500.0, 3500.0])
 def test_beyond_the_table_strength_is_a_power_of_temperature(temperature, x64):
     nodes = resolved_nodes([MWIR, LWIR], width=100.0, points=1, pair_points=0)
-    kappa = absorption(NarrowBandGas(3e4, **PRODUCTS), nodes, jnp.asarray([temperature, temperature * 1.01]))
-    assert bool(jnp.isfinite(kappa).all()) and bool((kappa > 0).all())
-    change = jnp.abs(jnp.log(kappa[1] / kappa[0]))
-    assert float(change.max()) < 0.6  # no blow-up of the cubic
+    at = jnp.asarray([temperature, temperature * 1.01])
+    kappa = np.asarray(absorption(NarrowBandGas(3e4, **PRODUCTS), nodes, at))
+    assert np.isfinite(kappa).all() and (kappa > 0).all()
+    assert np.abs(np.log(kappa[1] / kappa[0])).max() < 0.6  # no blow-up of the cubic
 
 
 @jax.jit
@@ -194,22 +195,27 @@ def test_gradients_match_differences_in_both_modes(x64):
     nodes = resolved_nodes([MWIR, LWIR], width=200.0, points=2, pair_points=2)
     weight = band_radiance(jnp.asarray(1000.0), nodes)
 
-    @jax.jit
-    def value(p):
+    @jax.value_and_grad
+    def slopes(p):
         gas = NarrowBandGas(p[1] * 1e4, h2o=p[2], co2=p[3], co=p[4], o2=p[5])
         return (-jnp.expm1(-gas.absorption(nodes, p[0] * 100)) * weight).sum()
 
-    backward, onward, curvature = jax.jit(jax.grad(value)), jax.jit(jax.jacfwd(value)), jax.jit(jax.hessian(value))
+    @jax.jit
+    @partial(jax.jacfwd, has_aux=True)
+    def every(p):
+        """Slopes onwards of value and gradient, and these, in one program."""
+        found = slopes(p)
+        return found, found
+
     step = 1e-5
     for temperature in (255.0, 299.0, 777.0, 2100.0, 2800.0):
-        at = jnp.asarray([temperature / 100, 3.0, 0.07, 0.06, 0.01, 0.1])
-        reverse = backward(at)
-        assert np.allclose(reverse, onward(at), rtol=1e-10)
-        for i in range(6):
-            change = jnp.zeros(6).at[i].set(step * at[i])
-            central = (value(at + change) - value(at - change)) / (2 * step * at[i])
-            assert float(reverse[i]) == pytest.approx(float(central), rel=1e-5, abs=1e-8)
-        assert bool(jnp.isfinite(curvature(at)).all())
+        at = np.array([temperature / 100, 3.0, 0.07, 0.06, 0.01, 0.1])
+        (onward, curvature), (_, reverse) = jax.device_get(every(jnp.asarray(at)))
+        assert np.allclose(reverse, onward, rtol=1e-10)
+        for i, change in enumerate(np.diag(step * at)):
+            above, below = (float(every(jnp.asarray(at + sign * change))[1][0]) for sign in (1, -1))
+            assert float(reverse[i]) == pytest.approx((above - below) / (2 * step * at[i]), rel=1e-5, abs=1e-8)
+        assert np.isfinite(curvature).all()
 
 
 def test_gradient_is_finite_without_gas(precision):
@@ -218,16 +224,16 @@ def test_gradient_is_finite_without_gas(precision):
     def value(x):
         return absorption(NarrowBandGas(3e4, h2o=x, co2=x), nodes, jnp.asarray([255.0, 900.0])).sum()
 
-    slope = jax.jit(jax.grad(value))(jnp.asarray(0.0))
-    assert bool(jnp.isfinite(slope)) and float(slope) > 0 and float(value(jnp.asarray(0.0))) == 0
+    without, slope = jax.jit(jax.value_and_grad(value))(jnp.asarray(0.0))
+    assert np.isfinite(slope) and float(slope) > 0 and float(without) == 0
 
 
 def test_wide_bins_group_rows():
     # 200 cm-1 bins against 50 cm-1: the group keeps the weak and the strong limit of the mean
-    fine, coarse = resolved_nodes(MWIR), resolved_nodes(MWIR, width=200.0)
+    fine, coarse = resolved_nodes([SWIR, MWIR, LWIR]), resolved_nodes(MWIR, width=200.0)
     gas = NarrowBandGas(0.3 * ATMOSPHERE, **PRODUCTS)
     a, b = radiance(gas, 1200.0, 0.5, fine), radiance(gas, 1200.0, 0.5, coarse)
-    assert float(b[0]) == pytest.approx(float(a[0]), rel=0.12)
+    assert float(b[0]) == pytest.approx(float(a[1]), rel=0.12)
 
 
 def test_new_values_do_not_retrace():

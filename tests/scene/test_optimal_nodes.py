@@ -8,6 +8,7 @@ import pytest
 import jaxir
 from jaxir import _cache
 from jaxir.scene import _optimal_nodes
+from tests.scene.spectra import side_by_side
 from tests.scenes import plate
 
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
@@ -29,7 +30,10 @@ def fine():
 def seen(scene, nodes):
     """From both sides, and from aside, where the plate is not seen."""
     cameras = [jaxir.orthographic_camera(*aspect, 0.05, (4, 4)) for aspect in ((0.0, 0.0), (180.0, 0.0), (60.0, 20.0))]
-    return np.stack([jaxir.render(scene, camera, nodes, samples=2).radiance for camera in cameras])
+    images = [jaxir.render(scene, camera, nodes, samples=2) for camera in cameras]
+    for image in images:
+        np.testing.assert_array_equal(image.spectral, nodes.error)
+    return np.stack([image.radiance for image in images])
 
 
 def test_a_twentieth_of_the_nodes_shows_the_same_in_vacuum_and_through_air():
@@ -38,22 +42,21 @@ def test_a_twentieth_of_the_nodes_shows_the_same_in_vacuum_and_through_air():
     assert nodes.count < fine().count / 20
     assert (np.asarray(nodes.error) <= 0.01).all() and (np.asarray(nodes.error) > 0).all()
     for scene in scenes:
-        true, few = seen(scene, fine()), seen(scene, nodes)
+        found = seen(scene, side_by_side(nodes, fine(), jaxir.gray_nodes(BANDS)))
+        few, true, gray = np.split(found, 3, axis=-1)
         np.testing.assert_allclose(few, true, rtol=0.01)
-        gray = seen(scene, jaxir.gray_nodes(BANDS))
         assert (np.abs(gray / true - 1).max(axis=(0, 1, 2)) > 0.1).all()
-    image = jaxir.render(scenes[0], jaxir.orthographic_camera(0.0, 0.0, 0.05, (4, 4)), nodes, samples=2)
-    np.testing.assert_array_equal(image.spectral, nodes.error)
 
 
 def test_light_given_for_bands_is_the_same_on_them():
     """Weights sum to the widths of bands, so that a number for a band is divided as before."""
     nodes = jaxir.optimal_nodes(layers(), BANDS)
-    width = np.asarray(nodes.in_band(nodes.upper - nodes.lower))
+    width = np.asarray(nodes.response) @ (np.asarray(nodes.weight) * np.asarray(nodes.upper - nodes.lower))
     np.testing.assert_allclose(width, [1e4 / band.lower - 1e4 / band.upper for band in BANDS], rtol=1e-2)
-    lit = jaxir.Scene(layers().skin, sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), [5.0, 7.0, 9.0]),))
+    lit = jaxir.Scene(layers().skin, sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 2 * [5.0, 7.0, 9.0]),))
     camera = jaxir.orthographic_camera(0.0, 0.0, 0.05, (2, 2))
-    few, gray = (jaxir.render(lit, camera, on, samples=2).radiance[0, 0] for on in (nodes, BANDS))
+    image = jaxir.render(lit, camera, side_by_side(nodes, jaxir.gray_nodes(BANDS)), samples=2)
+    few, gray = np.split(np.asarray(image.radiance)[0, 0], 2)
     np.testing.assert_allclose(few, gray, rtol=5e-3)
 
 
@@ -64,7 +67,7 @@ def test_the_hot_core_of_a_jet_is_seen_from_all_sides(aspect):
     nodes = jaxir.optimal_nodes(scene, jaxir.MWIR)
     reference = jaxir.resolved_nodes(jaxir.MWIR, 50.0, 12, 8)
     assert nodes.count < reference.count / 6
-    few, true = (jaxir.plume_intensity(scene, *aspect, on, rays=1024) for on in (nodes, reference))
+    few, true = jaxir.plume_intensity(scene, *aspect, side_by_side(nodes, reference), rays=1024)
     np.testing.assert_allclose(few, true, rtol=0.01)
 
 

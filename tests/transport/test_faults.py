@@ -15,6 +15,9 @@ TWO = np.array([[0, 1, 2], [0, 2, 3]])
 COLD = 3.0
 
 
+traced = eqx.filter_jit(jaxir.trace)
+
+
 def rays_down(count, height):
     x = 0.8 * ((np.arange(count) + 0.5) / count - 0.5)
     points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -60,13 +63,20 @@ def test_paths_that_have_ended_stay_finite():
     beside = jaxir.Rays(rays.origin.at[:, 0].add(3.0), rays.direction)
     both = jax.tree.map(lambda *each: jnp.concatenate(each), rays, beside)
 
-    @eqx.filter_jit
-    def look(scene):
-        paths = jaxir.trace(scene, both, jaxir.Method(bounces=60), jax.random.key(0))
-        value, pull = jax.vjp(lambda scene: jaxir.evaluate(scene.on(NODES), paths)[:, 0], scene)
-        return paths.segments, value, pull(jnp.ones_like(value))[0].skin.brdf
+    scene = jaxir.Scene(skin)
+    paths = traced(scene, both, jaxir.Method(bounces=60), jax.random.key(0))
+    segments = paths.segments
 
-    segments, value, slope = look(jaxir.Scene(skin))
+    @jax.jit
+    def pulled(brdf):
+        def radiance(brdf):
+            own = eqx.tree_at(lambda s: s.skin.brdf, scene, brdf)
+            return jaxir.evaluate(own.on(NODES), paths)[:, 0]
+
+        value, pull = jax.vjp(radiance, brdf)
+        return value, pull(jnp.ones_like(value))[0]
+
+    value, slope = pulled(skin.brdf)
     np.testing.assert_allclose(np.linalg.norm(segments.rays.direction, axis=-1), 1, atol=1e-5)
     assert np.isfinite(segments.inverse_pdf).all() and np.isfinite(jax.tree.leaves(slope)).all()
     assert (np.asarray(value)[:16] > 0).all() and (np.asarray(value)[16:] == 0).all()

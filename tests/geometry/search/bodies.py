@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
@@ -101,6 +102,12 @@ def picture(towards_eye, distance, size=32, width=6.0, start=6.0):
     )
 
 
+@jax.jit
+def unrelated(bundle):
+    """The rays of a bundle, in one program."""
+    return bundle.rays()
+
+
 def as_float(value):
     return jnp.asarray(value, jnp.result_type(float))
 
@@ -114,29 +121,36 @@ class Lines(NamedTuple):
 
 def every_face(vertices, faces, rays, t_min=0.0, t_max=np.inf):
     """(t of the first face met [ray], distance of the ray to the nearest edge of any face [ray]) in float64."""
-    corners = np.asarray(vertices, np.float64)[faces]
+    vertices = np.asarray(vertices, np.float64)
     origin, direction = np.asarray(rays.origin, np.float64), np.asarray(rays.direction, np.float64)
-    first, margin = [], []
-    for o, d, far in zip(origin, direction, np.broadcast_to(t_max, len(origin)), strict=True):
-        p = corners - o
-        q = np.roll(p, -1, axis=1)
-        edge = q - p
-        moment = np.einsum("fki,i->fk", np.cross(p, q), d)
-        normal = np.cross(edge[:, 0], edge[:, 1])
-        slope = normal @ d
-        same = np.all(moment >= 0, axis=1) | np.all(moment <= 0, axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.einsum("fi,fi->f", normal, p[:, 0]) / slope
-            met = same & (slope != 0) & (np.linalg.norm(normal, axis=1) > 1e-12) & (t > t_min) & (t < far)
-        first.append(np.min(np.where(met, t, np.inf)))
-        margin.append(np.min(_line_to_segments(p, edge, d)))
-    return np.array(first), np.array(margin)
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    solid = np.linalg.norm(np.cross(b - a, c - b), axis=1) > 1e-12
+    far = np.broadcast_to(t_max, len(origin))
+    each = [
+        _along_rays(vertices, faces, solid, origin[some], direction[some], t_min, far[some])
+        for some in np.array_split(np.arange(len(origin)), -(-len(origin) // 4))
+    ]
+    return tuple(map(np.concatenate, zip(*each, strict=True)))
 
 
-def _line_to_segments(start, edge, d):
-    """Distances of the line through the origin along d to segments, both seen along d."""
-    a = start - (start @ d)[..., None] * d
-    e = edge - (edge @ d)[..., None] * d
-    size = np.sum(e * e, axis=-1)
-    s = np.clip(-np.sum(a * e, axis=-1) / np.where(size > 0, size, 1), 0, 1)
-    return np.linalg.norm(a + s[..., None] * e, axis=-1)
+def _along_rays(vertices, faces, solid, origin, direction, t_min, t_max):
+    """`every_face` of a few rays: all is seen along each, in two coordinates across it and one along it."""
+    across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction), axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    above = np.cross(direction, across)
+    above /= np.linalg.norm(above, axis=1, keepdims=True)
+    along = direction / np.sum(direction**2, axis=1, keepdims=True)
+    local = vertices[:, None] - origin
+    seen = (np.einsum("vri,ri->vr", local, axis) for axis in (across, above, along))
+    x, y, depth = (np.take(each, np.transpose(faces), axis=0) for each in seen)  # [corner, face, ray]
+    dx, dy = np.roll(x, -1, axis=0) - x, np.roll(y, -1, axis=0) - y
+    moment = x * np.roll(y, -1, axis=0) - y * np.roll(x, -1, axis=0)
+    area = moment.sum(axis=0)
+    same = (moment.min(axis=0) >= 0) | (moment.max(axis=0) <= 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (moment * np.roll(depth, 1, axis=0)).sum(axis=0) / area
+    met = same & (area != 0) & solid[:, None] & (t > t_min) & (t < t_max)
+    size = dx**2 + dy**2
+    s = np.clip(-(x * dx + y * dy) / np.where(size > 0, size, 1), 0, 1)
+    nearest = np.min((x + s * dx) ** 2 + (y + s * dy) ** 2, axis=(0, 1))
+    return np.min(np.where(met, t, np.inf), axis=0), np.sqrt(nearest)

@@ -6,7 +6,19 @@ import pytest
 
 from jaxir.geometry import Rays
 from jaxir.geometry.search import Mesh, _lockstep, any_hit, closest_hit, occluded
-from tests.geometry.search.bodies import BODIES, as_float, every_face, fins, incoherent, picture, soup, sphere, torus
+from tests.geometry.search.bodies import (
+    BODIES,
+    as_float,
+    as_large_as_soup,
+    every_face,
+    fins,
+    incoherent,
+    picture,
+    soup,
+    sphere,
+    torus,
+    unrelated,
+)
 
 TOLERANCE = {"float32": 2e-5, "float64": 1e-12}
 
@@ -36,7 +48,7 @@ def test_bundles_meet_what_every_face_says(body, distance, precision):
     vertices, faces = BODIES[body]()
     mesh = Mesh(vertices, faces)
     bundle = picture([0.3, -0.8, 0.5], distance)
-    t, margin = every_face(mesh.vertices, faces, bundle.rays())
+    t, margin = every_face(mesh.vertices, faces, unrelated(bundle))
     agree(mesh, closest_hit(mesh, bundle), any_hit(mesh, bundle), t, margin, TOLERANCE[precision])
 
 
@@ -45,7 +57,7 @@ def test_bundle_that_starts_inside_the_mesh_or_looks_from_inside():
     mesh = Mesh(vertices, faces)
     for start, distance in ((0.3, 50.0), (0.5, 1.0)):
         bundle = picture([0.3, -0.8, 0.5], distance, width=1.0, start=start)
-        t, _ = every_face(mesh.vertices, faces, bundle.rays())
+        t, _ = every_face(mesh.vertices, faces, unrelated(bundle))
         assert np.allclose(closest_hit(mesh, bundle).t, t, atol=1e-5)
         t_max = np.where(np.arange(bundle.count) % 3, np.float32(np.median(t)), 0)  # some rays are inactive
         limited = closest_hit(mesh, bundle, t_max=jnp.asarray(t_max)).t
@@ -57,7 +69,7 @@ def test_limits_of_distance_hold_in_both_routes(distance, x64):
     vertices, faces = torus()
     mesh = Mesh(vertices, faces)
     bundle = picture([0.9, -0.3, 0.2], distance, start=3.5)
-    rays = bundle.rays()
+    rays = unrelated(bundle)
     for t_min, t_max in ((0.0, 3.0), (2.0, np.inf), (1.5, 4.0)):
         t, margin = every_face(vertices, faces, rays, t_min, t_max)
         assert np.isfinite(t).any()
@@ -69,9 +81,9 @@ def test_rays_without_an_interval_are_inactive():
     vertices, faces = sphere()
     mesh = Mesh(vertices, faces)
     bundle = picture([0.3, -0.8, 0.5], 9.0)
-    on = jnp.arange(bundle.count) % 3 == 0
-    t_max = jnp.where(on, jnp.inf, 0.0)
-    for shape in (bundle, bundle.rays()):
+    on = np.arange(bundle.count) % 3 == 0
+    t_max = as_float(np.where(on, np.inf, 0.0))
+    for shape in (bundle, unrelated(bundle)):
         expected = np.asarray(closest_hit(mesh, shape).face)
         assert np.array_equal(closest_hit(mesh, shape, t_max=t_max).face, np.where(on, expected, -1))
         assert np.array_equal(any_hit(mesh, shape, t_max=t_max), on & (expected >= 0))
@@ -88,12 +100,14 @@ def test_a_handful_of_faces_has_no_tree(count, precision):
 
 
 def test_faces_without_area_are_never_met(precision):
-    """A line of three corners, a doubled corner, a point: alone, and within a tree."""
+    """A line of three corners, a doubled corner, a point: a handful of them, and within a tree."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0], [0, 1, 0]], float) * 0.3
     flat = np.array([[0, 1, 2], [0, 1, 1], [3, 3, 3]])
-    rays = Rays(as_float([[0.1, 0, 5], [0.3, 0, 5], [0, 0.3, 5], [0, 0, 5]]), as_float([[0, 0, -1]] * 4))
-    for repeat in (1, 20):
-        mesh = Mesh(vertices, np.tile(flat, (repeat, 1)))
+    above = np.array([[0.1, 0, 5], [0.3, 0, 5], [0, 0.3, 5], [0, 0, 5]])
+    rays = Rays(as_float(np.resize(above, (500, 3))), as_float(np.tile([0, 0, -1], (500, 1))))
+    for count, corners in ((12, 180), (700, 2100)):  # as many as other tests have, whose programs serve here, too
+        mesh = Mesh(np.resize(vertices, (corners, 3)), np.resize(flat, (count, 3)))
+        assert (mesh.tree is None) == (count == 12)
         hit = closest_hit(mesh, rays)
         assert np.all(np.asarray(hit.face) == -1)
         assert not np.any(any_hit(mesh, rays))
@@ -102,7 +116,7 @@ def test_faces_without_area_are_never_met(precision):
 
 def test_a_ray_without_direction_meets_nothing(precision):
     mesh = Mesh(*sphere())
-    rays = Rays(as_float([[0.0, 0, 0], [2.0, 0, 0]]), as_float(np.zeros((2, 3))))
+    rays = Rays(as_float(np.resize([[0.0, 0, 0], [2.0, 0, 0]], (500, 3))), as_float(np.zeros((500, 3))))
     hit = closest_hit(mesh, rays)
     assert np.all(np.asarray(hit.face) == -1) and np.all(np.isfinite(hit.point))
 
@@ -112,13 +126,13 @@ def test_axis_parallel_rays_in_the_planes_of_boxes(precision):
     vertices, faces = fins()
     vertices = vertices[:81] @ np.array([[np.cos(0.1), -np.sin(0.1), 0], [np.sin(0.1), np.cos(0.1), 0], [0, 0, 1.0]])
     vertices[:, 1] = 0
-    mesh = Mesh(vertices, faces[:128])
-    points = np.asarray(mesh.vertices)[mesh.vertices[:, 0] < 1.9]
-    points = points[np.abs(points[:, 2]) < 0.9]
-    points = points[points[:, 0] > 0.1]
-    across = Rays(as_float(points + [0, 3, 0]), as_float(np.tile([0, -1.0, 0], (len(points), 1))))
+    mesh = Mesh(*as_large_as_soup(lambda: (vertices, faces[:128]))())
+    points = np.asarray(mesh.vertices)[:81]
+    inner = (points[:, 0] > 0.1) & (points[:, 0] < 1.9) & (np.abs(points[:, 2]) < 0.9)
+    points = np.resize(points[inner], (500, 3))
+    across = Rays(as_float(points + [0, 3, 0]), as_float(np.tile([0, -1.0, 0], (500, 1))))
     assert np.all(np.asarray(closest_hit(mesh, across).face) >= 0)
-    along = Rays(as_float(points + [5, 0, 0]), as_float(np.tile([-1.0, 0, 0], (len(points), 1))))
+    along = Rays(as_float(points + [5, 0, 0]), as_float(np.tile([-1.0, 0, 0], (500, 1))))
     assert np.all(np.asarray(closest_hit(mesh, along).face) == -1)
 
 
@@ -139,14 +153,22 @@ def test_vmap_over_rays_over_views_and_over_meshes():
     rays = incoherent(np.random.default_rng(2))
     face = np.asarray(closest_hit(mesh, rays).face)
     split = jax.tree.map(lambda x: x.reshape(4, 125, 3), rays)
-    assert np.array_equal(jax.vmap(lambda r: closest_hit(mesh, r).face)(split).ravel(), face)
-    scale = jnp.asarray([1.0, 1.5])
-    faces_scaled = jax.vmap(lambda s: closest_hit(mesh.refit(mesh.vertices * s), rays).face)(scale)
-    assert np.array_equal(faces_scaled[0], face)
-    assert np.array_equal(faces_scaled[1], closest_hit(mesh.refit(mesh.vertices * 1.5), rays).face)
     views = [picture(w, 9.0) for w in ([1, 0, 0.2], [0.3, 1, 0.1])]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *views)
-    found = jax.vmap(lambda b: closest_hit(mesh, b).face)(stacked)
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *views)
+
+    @jax.jit
+    def together(split, scale, stacked):
+        return (
+            jax.vmap(lambda r: closest_hit(mesh, r).face)(split),
+            jax.vmap(lambda s: closest_hit(mesh.refit(mesh.vertices * s), rays).face)(scale),
+            jax.vmap(lambda b: closest_hit(mesh, b).face)(stacked),
+        )
+
+    in_parts, faces_scaled, found = map(np.asarray, together(split, as_float([1.0, 1.5]), stacked))
+    assert np.array_equal(in_parts.ravel(), face)
+    assert np.array_equal(faces_scaled[0], face)
+    larger = jax.jit(lambda mesh, s: mesh.refit(mesh.vertices * s))(mesh, as_float(1.5))
+    assert np.array_equal(faces_scaled[1], closest_hit(larger, rays).face)
     for k, view in enumerate(views):
         assert np.array_equal(found[k], closest_hit(mesh, view).face)
 
@@ -172,20 +194,20 @@ def test_rays_can_be_sharded():
 @pytest.mark.parametrize("walks", [False, True])
 def test_what_an_accelerator_would_run_finds_the_same(monkeypatch, walks):
     """Where it tests every face, and where it walks a tree, here of two levels."""
-    vertices, faces = sphere(2)
+    vertices, faces = sphere()
     mesh, sun = Mesh(vertices, faces), as_float([0.0, 0.6, 0.8])
-    rays, bundle = incoherent(np.random.default_rng(5), 313), picture([0.3, -0.8, 0.5], 9.0)
+    rays, bundle = incoherent(np.random.default_rng(5)), picture([0.3, -0.8, 0.5], 9.0)
     # rays through vertices are in doubt, and so are searched again
     aimed = np.asarray(mesh.vertices)[:150] - np.asarray(rays.origin)[:150]
     aimed = np.concatenate([aimed / np.linalg.norm(aimed, axis=1, keepdims=True), np.asarray(rays.direction)[150:]])
 
     def found(more):
         """With the last ray repeated: what was compiled before has another shape."""
-        at = np.minimum(np.arange(313 + more), 312)
-        hit = closest_hit(mesh, Rays(rays.origin[at], as_float(aimed)[at]))
+        at = np.minimum(np.arange(rays.count + more), rays.count - 1)
+        hit = closest_hit(mesh, Rays(as_float(np.asarray(rays.origin)[at]), as_float(aimed[at])))
         at = np.minimum(np.arange(bundle.count + more), bundle.count - 1)
-        seen = closest_hit(mesh, eqx.tree_at(lambda b: b.screen, bundle, bundle.screen[at]))
-        hidden = occluded(mesh, seen.point, seen.face, sun, seen.face >= 0)
+        seen = closest_hit(mesh, eqx.tree_at(lambda b: b.screen, bundle, as_float(np.asarray(bundle.screen)[at])))
+        hidden = occluded(mesh, seen.point, seen.face, sun, jnp.asarray(np.asarray(seen.face) >= 0))
         return [np.asarray(value, float)[: len(value) - more] for value in (hit.t, seen.t, seen.normal, hidden)]
 
     native, taken = found(0), []

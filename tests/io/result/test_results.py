@@ -48,8 +48,8 @@ def test_signature_table(tmp_path):
 
 
 def test_what_would_make_two_columns_of_one_name_or_a_file_of_a_folder_is_refused(tmp_path):
-    bands = jaxir.Band("M", 4.0, 5.0), jaxir.Band("M_standard_error", 8.0, 9.0)
-    table = jaxir.signature(jaxir.Scene(plate()), [(0.0, 0.0)], bands, shape=(16, 16))
+    angle, value = jnp.zeros(1), jnp.ones((1, 2))
+    table = jaxir.Signature(angle, angle, value, 0 * value, ("M", "M_standard_error"), 0 * value)
     with pytest.raises(ValueError, match="that make the column M_standard_error_W_per_sr twice"):
         save_signature(tmp_path / "table.csv", table)
     (tmp_path / "folder.csv").mkdir()

@@ -58,6 +58,7 @@ def test_a_killed_sweep_goes_on(tmp_path, computed):
     kept = _killed(folder, 3)
     scene, views, bands = asked()
     assert 3 <= len(kept) < len(views)
+    views = views[: len(kept) + 20]
     table = sweep(folder, scene, views, bands, shape=SHAPE)
     assert len(computed) == len(views) - len(kept)
     assert not {f"view_{index:06d}.npz" for index in computed} & set(kept)

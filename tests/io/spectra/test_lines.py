@@ -1,5 +1,6 @@
 """The whole way from a list in HITRAN's format, written here from published constants, through the real RADIS."""
 
+import functools
 import sys
 
 import jax.numpy as jnp
@@ -37,6 +38,7 @@ def record(line, strength, energy, quanta):
     return f"{numbers}{vibration}{rotation}465545 5 4 5 5 5 5 {2 * j + 1:7.1f}{2 * (j + step) + 1:7.1f}"
 
 
+@functools.cache
 def records():
     """All lines that matter up to `HOTTEST`, with strengths at 296 K."""
     hot, cold = truth.nu3_lines(HOTTEST, FAINTEST), 296.0
