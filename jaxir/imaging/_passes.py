@@ -72,7 +72,7 @@ def render(
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
             the intensity: passes of `samples` if given, else as `jaxir.plan` foretells, which places many rays where
             the error is (see `jaxir.imaging._adaptive`). None takes one pass. `Image.outcome` says whether it was met.
-            Bands become spectral nodes that err by at most half of it, see `optimal_nodes`; so with pixel_rtol.
+            Bands become spectral nodes that err by a tenth of it, at most by it (`optimal_nodes`); so with pixel_rtol.
         atol: the standard error of an intensity that is good enough whatever it is [W sr-1], for contrasts near 0; with
             rtol, the larger of the two counts.
         pixel_rtol: place rays where the error is until the root mean square standard

@@ -87,12 +87,12 @@ def plan(
 ) -> Plan:
     """How to meet a tolerance on the intensity of every band, and at what cost, before an image is computed.
 
-    Bands become spectral nodes that err by at most half of `rtol` (see `optimal_nodes`). What has no variance is chosen
-    without trial: the exact sum over cells, delta sources. For reflected light, by a
-    closed form where its conditions hold or sampled, every candidate computes a few chunks of the image; variance as
-    it falls with the rays (`ErrorLaw`), and time, as it grows with them, decide. So for light that particles scatter,
-    sampled up to few or more orders or solved on a coarse or finer lattice: among those that leave out less than the
-    error asked for, if there are any. Where skin may meet the light of skin or plumes, few paths are followed further
+    Bands become spectral nodes that err by a tenth of `rtol`, at most by it (`optimal_nodes`). What has no variance is
+    chosen without trial: the exact sum over cells, delta sources. For reflected light, by a closed form where its
+    conditions hold or sampled, every candidate computes a few chunks of the image; variance as it falls with the rays
+    (`ErrorLaw`), and time, as it grows with them, decide. So for light that particles scatter, sampled up to few or
+    more orders or solved on a coarse or finer lattice: among those that leave out less than the error asked for, if
+    there are any. Where skin may meet the light of skin or plumes, few paths are followed further
     first, and bounces are the fewest beyond which they bring at most half of what is asked. Where the rays or seconds
     allowed suffice by no way it is that of least error.
 

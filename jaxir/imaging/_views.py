@@ -207,7 +207,8 @@ def signature(
         rtol: standard error of every band's intensity at most, as a share of it, in every view. A first look of
             `samples` decides how many more a view takes (see `jaxir.imaging._repeated`); where it errs by less than a
             third of what is asked it is the answer, else it is no part of it. Bands become spectral nodes that err by
-            at most half of it, see `optimal_nodes`. `Signature.meets` says which views kept to it. None takes one look.
+            a tenth of it, at most by it (`optimal_nodes`). `Signature.meets` says which views kept to it. None takes
+            one look.
         atol: the standard error that is good enough whatever the intensity [W sr-1], for contrasts near 0; with rtol,
             the larger of the two counts.
         max_samples: rays per pixel of a view at which to give up.

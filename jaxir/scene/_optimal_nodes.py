@@ -52,8 +52,8 @@ ALONG = 0.15  # 1 - cos of the directions about a plume's axis that half of the 
 INSIDE = 0.3  # of an error of light inside the scene counts: of what is seen, that light is a part
 FAINT = 1e-3  # of the brightest spectrum of a kind: fainter ones do not count
 BLOCK = 256  # spectra whose singular vectors are found at a time
-SHARE = 0.5  # of an error asked for that nodes may make up
-MOST, LEAST = 0.1, 5e-4  # what they may err whatever is asked
+SHARE = 0.1  # of an error asked for that nodes may make up: before a bright background what is seen is a difference
+MOST, LEAST = 0.1, 1e-4  # what they may err whatever is asked
 STEP = 2**0.5  # by which counts of nodes for an error differ, so that other values mostly find their programs compiled
 
 Chosen = tuple[np.ndarray, np.ndarray, np.ndarray]  # which nodes, their factors, what they err in each band
@@ -95,16 +95,14 @@ def optimal_nodes(scenes: Scene | Sequence[Scene], bands: Band | Sequence[Band],
     if not _spectral(several, wanted):
         return gray_nodes(wanted)
     nodes = _best(several, wanted, rtol)
-    if np.all(np.asarray(nodes.error) <= rtol):
-        return nodes
-    return with_error(finest_nodes(wanted), np.zeros(len(wanted)))
+    return nodes if np.all(np.asarray(nodes.error) <= rtol) else _all_nodes(wanted)
 
 
 def nodes_within(scene: Scene, bands: Nodes | Band | Sequence[Band], rtol: float | None) -> Nodes:
     """The spectral nodes on which a scene is computed where intensities may err by `rtol`.
 
-    As by `optimal_nodes` for half of it, from `LEAST` to `MOST`, or the best that it finds, and some of weight 0, so
-    that few counts occur; `scene_nodes` where no such error is asked for or a gas has values for given nodes.
+    As by `optimal_nodes` for `SHARE` of it, from `LEAST` to `MOST`, or the best below it, and some of weight 0, so that
+    few counts occur; `scene_nodes` where no such error is asked for or a gas has values for given nodes.
     """
     if isinstance(bands, Nodes):
         return bands
@@ -112,6 +110,8 @@ def nodes_within(scene: Scene, bands: Nodes | Band | Sequence[Band], rtol: float
     if not rtol or not _spectral((scene,), wanted) or any(plume.has_quantiles for plume in scene.plumes):
         return scene_nodes(scene, wanted)
     nodes = _best((scene,), wanted, min(max(SHARE * rtol, LEAST), MOST))
+    if np.any(np.asarray(nodes.error) > rtol):
+        return _all_nodes(wanted)
     if nodes.count <= len(wanted):
         return nodes
     count = 1
@@ -125,6 +125,11 @@ _held: dict[tuple, Nodes] = {}
 
 def _spectral(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> bool:
     return any(scene.has_spectrum for scene in scenes) or any(band.response is not None for band in bands)
+
+
+def _all_nodes(bands: tuple[Band, ...]) -> Nodes:
+    """Those with which others are compared."""
+    return with_error(finest_nodes(bands), np.zeros(len(bands)))
 
 
 def _best(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float) -> Nodes:

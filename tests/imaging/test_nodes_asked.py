@@ -22,16 +22,24 @@ def layers():
     return jaxir.Scene(plate(), plume, atmosphere=jaxir.StandardAtmosphere(0.0, 0.0, 5e3))
 
 
-@pytest.mark.parametrize("rtol", [0.1, 0.01, 1e-3])
-def test_they_err_by_half_of_it_and_are_few(rtol):
+@pytest.mark.parametrize(("rtol", "error"), [(0.1, 0.01), (0.01, 1e-3), (1e-3, 1e-3)])
+def test_they_err_by_a_tenth_of_it_or_at_most_by_it_and_are_few(rtol, error):
     scene, fine = layers(), jaxir.resolved_nodes(BANDS, 50.0, 12, 8)
     nodes = nodes_within(scene, BANDS, rtol)
-    assert (np.asarray(nodes.error) <= rtol / 2).all()
+    assert (np.asarray(nodes.error) <= error).all()
     assert nodes.count < scene_nodes(scene, BANDS).count / 3
     few, true = (
         jaxir.signature(scene, [[0.0, 0.0]], padded_nodes(own, fine.count), **RASTER).intensity for own in (nodes, fine)
     )
-    np.testing.assert_allclose(few, true, rtol=rtol / 2)
+    np.testing.assert_allclose(few, true, rtol=error)
+
+
+def test_all_are_taken_where_few_do_not_suffice(monkeypatch):
+    monkeypatch.setattr(_optimal_nodes, "TOLERANCES", (0.3,))
+    scene, rtol = layers(), 0.0123
+    nodes = nodes_within(scene, BANDS, rtol)
+    assert nodes.count == _optimal_nodes.finest_nodes(BANDS).count and not np.asarray(nodes.error).any()
+    assert jaxir.optimal_nodes(scene, BANDS, 0.0124).count == nodes.count
 
 
 def test_few_counts_occur_and_none_is_that_of_the_bands():
