@@ -60,6 +60,12 @@ def x64():
         yield
 
 
+@pytest.fixture
+def one_program(monkeypatch):
+    """For images of all numbers of rays, whose strata are else traced in groups of different sizes."""
+    monkeypatch.setattr("jaxir.imaging._chunks.TOGETHER", (1,))
+
+
 @pytest.fixture(autouse=True, scope="module")
 def bounded_memory():
     """Drop compiled programs between files once they hold gigabytes; until then files share them."""

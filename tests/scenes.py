@@ -38,6 +38,14 @@ def gray_box(size, coefficient, cells=(4, 3, 5), temperature=600.0):
     return jaxir.GridPlume(grid, temperature, jaxir.GrayGas(coefficient))
 
 
+def hot_layers(air=None, hot=1100.0):
+    """A hot and a cool layer of gas with lines before a warm plate."""
+    grid = jaxir.Grid((0.0, -0.5, -0.5), (0.4, 1.0, 1.0), (2, 1, 1))
+    gas = jaxir.NarrowBandGas(pressure=5e4, h2o=0.1, co2=0.1)
+    plume = jaxir.GridPlume(grid, np.array([hot, 500.0]).reshape(2, 1, 1), gas)
+    return jaxir.Scene(plate(), plume, atmosphere=air)
+
+
 def box_intensity(width, depth, height, kappa, source, degrees):
     """Radiant intensity of a gray box seen tilted about its height axis (closed form; W/sr)."""
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))

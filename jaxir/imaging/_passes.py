@@ -153,18 +153,11 @@ def render(
 
 
 def leaves_out(image: Image, goal: Goal, left: Float[np.ndarray, " band"] | None) -> bool:
-    """Whether what is left out of an intensity exceeds what is asked: of particles, or the share left of bounces.
-
-    Or what the nodes err.
-    """
-    intensity = np.abs(np.asarray(image.radiant_intensity(), np.float64))
-    shares = (image.truncation, 0.0 if left is None else left)
-    share = 0.0 if image.spectral is None else np.asarray(image.spectral)
-    by_nodes = np.asarray(image.contrast(), np.float64) * share
-    return any(
-        asked.excess(intensity, by_nodes) > 1 or any(asked.beyond(intensity, share) > 1 for share in shares)
-        for asked in goal.of_intensity
-    )
+    """Whether what is left out of an intensity, of particles or by bounces, or what nodes err exceeds what is asked."""
+    intensity, contrast = (np.abs(np.asarray(x, np.float64)) for x in (image.radiant_intensity(), image.contrast()))
+    shares = ((image.truncation, intensity), (left, intensity), (image.spectral, contrast))
+    known = [(share, of) for share, of in shares if share is not None]
+    return any(asked.beyond(intensity, share, of) > 1 for asked in goal.of_intensity for share, of in known)
 
 
 def repeated(

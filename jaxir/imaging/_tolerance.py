@@ -42,10 +42,13 @@ class Tolerance(NamedTuple):
         beyond = np.where(error > 0, np.inf, 0.0)
         return np.asarray(np.divide(error, asked, out=beyond, where=asked > 0).max(axis=-1))
 
-    def beyond(self, intensity: Float[np.ndarray, "*view band"], share: Any) -> Float[np.ndarray, "*view"]:
-        """`excess` of an error that is a share of the intensity; of a dark band none counts."""
+    def beyond(
+        self, intensity: Float[np.ndarray, "*view band"], share: Any, of: Float[np.ndarray, "*view band"] | None = None
+    ) -> Float[np.ndarray, "*view"]:
+        """`excess` of an error that is a share of the intensity, or of what is given; of a dark band none counts."""
+        whole = intensity if of is None else of
         share = np.asarray(share, intensity.dtype)
-        error = np.multiply(share, intensity, out=np.zeros_like(intensity), where=intensity > 0)
+        error = np.multiply(share, whole, out=np.zeros_like(intensity), where=whole > 0)
         return self.excess(intensity, error)
 
 

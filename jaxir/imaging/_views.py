@@ -114,8 +114,8 @@ class Signature(eqx.Module):
             return np.ones(len(self.azimuth), bool)
         intensity = np.abs(np.asarray(self.intensity, np.float64))
         sampled = asked.excess(intensity, np.asarray(self.standard_error))
-        contrast = intensity if self.contrast is None else np.asarray(self.contrast, np.float64)
-        by_nodes = asked.excess(intensity, contrast * (0.0 if self.spectral is None else np.asarray(self.spectral)))
+        contrast = None if self.contrast is None else np.asarray(self.contrast, np.float64)
+        by_nodes = asked.beyond(intensity, 0.0 if self.spectral is None else self.spectral, contrast)
         return np.maximum.reduce([sampled, by_nodes, asked.beyond(intensity, self.truncation)]) <= 1
 
 

@@ -40,6 +40,7 @@ from jaxir.scene._resolution import (
     finest_nodes,
     kept_choice,
     scene_nodes,
+    spectral,
     warmth,
     with_few_cells,
 )
@@ -92,10 +93,7 @@ def optimal_nodes(scenes: Scene | Sequence[Scene], bands: Band | Sequence[Band],
     for scene in several:
         if any(plume.has_quantiles for plume in scene.plumes):
             raise ValueError("optimal_nodes: got a gas with values for given nodes, expected one for any nodes")
-    if not _spectral(several, wanted):
-        return gray_nodes(wanted)
-    nodes = _best(several, wanted, rtol)
-    return nodes if np.all(np.asarray(nodes.error) <= rtol) else _all_nodes(wanted)
+    return _best(several, wanted, rtol, rtol) if spectral(several, wanted) else gray_nodes(wanted)
 
 
 def nodes_within(scene: Scene, bands: Nodes | Band | Sequence[Band], rtol: float | None) -> Nodes:
@@ -107,12 +105,10 @@ def nodes_within(scene: Scene, bands: Nodes | Band | Sequence[Band], rtol: float
     if isinstance(bands, Nodes):
         return bands
     wanted = as_bands(bands)
-    if not rtol or not _spectral((scene,), wanted) or any(plume.has_quantiles for plume in scene.plumes):
+    if not rtol or not spectral((scene,), wanted) or any(plume.has_quantiles for plume in scene.plumes):
         return scene_nodes(scene, wanted)
-    nodes = _best((scene,), wanted, min(max(SHARE * rtol, LEAST), MOST))
-    if np.any(np.asarray(nodes.error) > rtol):
-        return _all_nodes(wanted)
-    if nodes.count <= len(wanted):
+    nodes = _best((scene,), wanted, min(max(SHARE * rtol, LEAST), MOST), rtol)
+    if nodes.count <= len(wanted) or not np.asarray(nodes.error).any():  # the finest are of few counts as they are
         return nodes
     count = 1
     while count < nodes.count or count == len(wanted):  # as many as bands would be taken for them
@@ -123,21 +119,13 @@ def nodes_within(scene: Scene, bands: Nodes | Band | Sequence[Band], rtol: float
 _held: dict[tuple, Nodes] = {}
 
 
-def _spectral(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> bool:
-    return any(scene.has_spectrum for scene in scenes) or any(band.response is not None for band in bands)
-
-
-def _all_nodes(bands: tuple[Band, ...]) -> Nodes:
-    """Those with which others are compared."""
-    return with_error(finest_nodes(bands), np.zeros(len(bands)))
-
-
-def _best(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float) -> Nodes:
-    """The fewest nodes that err by at most `rtol`, or those that err least, as told by `Nodes.error`."""
+def _best(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, most: float) -> Nodes:
+    """The fewest nodes that err by at most `rtol`, or those that err least; the finest if by over `most`."""
     for scene in scenes:
         require(scene.checks())
     asked = (jax.tree.structure(scenes), str(bands), fingerprint(scenes), float(rtol))
-    return remembered(_held, asked, lambda: _choice(scenes, bands, rtol, asked), KEPT)
+    nodes = remembered(_held, asked, lambda: _choice(scenes, bands, rtol, asked), KEPT)
+    return nodes if np.all(np.asarray(nodes.error) <= most) else with_error(finest_nodes(bands), np.zeros(len(bands)))
 
 
 def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, asked: tuple) -> Nodes:

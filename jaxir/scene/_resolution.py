@@ -72,7 +72,7 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
     if isinstance(bands, Nodes):
         return bands
     several = as_bands(bands)
-    if not scene.has_spectrum and all(band.response is None for band in several):
+    if not spectral((scene,), several):
         return gray_nodes(several)
     scene = jax.tree.map(_value, scene)
     if is_traced(scene):
@@ -80,6 +80,11 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
     require(scene.checks())
     asked = (jax.tree.structure(scene), str(several), fingerprint(scene))
     return remembered(_chosen, asked, lambda: _choice(scene, several, asked), KEPT)
+
+
+def spectral(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> bool:
+    """Whether anything depends on the wavenumber inside of bands."""
+    return any(scene.has_spectrum for scene in scenes) or any(band.response is not None for band in bands)
 
 
 def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.imaging import _choices, _chunks
+from jaxir.imaging import _choices
 from jaxir.imaging._adaptive import strata_of
 from jaxir.imaging._placement import MARGIN, Law, well_shaped_strata
 from tests.scenes import box_mesh
@@ -41,9 +41,8 @@ def test_neither_the_pixels_nor_their_sum_are_biased_and_the_errors_are_those_to
     assert varied.sum() > 150 and 0.7 < np.mean(z**2) < 1.4 and np.abs(z).max() < 5
 
 
-def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch):
+def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch, one_program):
     """As the plan says, without bias, as exact as asked, and with a part of the rays of an even image."""
-    monkeypatch.setattr(_chunks, "TOGETHER", (1,))  # one program for all numbers of rays
     even = jaxir.plan(SCENE, CAMERA, jaxir.MWIR, 3e-4, method=jaxir.Method())
     monkeypatch.setattr(_choices, "LITTLE", 0)
     monkeypatch.setattr(_choices, "MORE", (12, 32))  # of a pilot that every image takes
@@ -66,11 +65,10 @@ def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch)
     np.testing.assert_allclose(split.component_intensity().sum(axis=0), split.radiant_intensity(), rtol=1e-3)
 
 
-def test_an_intensity_of_a_distant_target_takes_rays_in_its_pixels(monkeypatch):
+def test_an_intensity_of_a_distant_target_takes_rays_in_its_pixels(monkeypatch, one_program):
     """Thirty in the mean, of which an even image takes 4000."""
     monkeypatch.setattr(_choices, "LITTLE", 0)
     monkeypatch.setattr(_choices, "MORE", (12, 32))
-    monkeypatch.setattr(_chunks, "TOGETHER", (1,))
     far = jaxir.orthographic_camera(30.0, 20.0, 0.6, CAMERA.shape)
     images = [rendered(key, far, rtol=2e-3) for key in range(12)]
     assert all(bool(image.outcome == jaxir.Outcome.tolerance_met) for image in images)
@@ -91,8 +89,7 @@ def test_edges_that_lie_along_pixels_are_not_missed():
     assert abs(apart.mean()) < 4 * apart.std() / len(images) ** 0.5
 
 
-def test_rays_lie_where_the_error_is(monkeypatch):
-    monkeypatch.setattr(_chunks, "TOGETHER", (1,))
+def test_rays_lie_where_the_error_is(one_program):
     adaptive, even = rendered(1, pixel_rtol=1e-2), rendered(1, samples=72, rtol=0.1)
     error = [np.sqrt((np.asarray(i.standard_error) ** 2).sum()) for i in (adaptive, even)]
     assert error[0] < 0.5 * error[1] and int(adaptive.samples) <= 72 / 3.5
@@ -187,10 +184,10 @@ def test_what_cannot_be_asked_is_refused(asked, message):
 
 
 @pytest.mark.parametrize("asked", [{"rtol": 0.1}, {"pixel_rtol": 0.1}, {"rtol": 0.1, "samples": 8}], ids=str)
-def test_a_target_smaller_than_a_pixel_is_found(asked, monkeypatch):
+def test_a_target_smaller_than_a_pixel_is_found(asked, request):
     """Amid four pixels of which it takes a twentieth each: of few rays most keys have none that meets it."""
     if "samples" not in asked:
-        monkeypatch.setattr(_chunks, "TOGETHER", (1,))
+        request.getfixturevalue("one_program")
     scene = jaxir.Scene(jaxir.Skin(box_mesh(), 320.0, jaxir.Lambert(0.7)))
     camera = jaxir.orthographic_camera(35.0, 25.0, 2.3, (16, 16))
     exact = float(jaxir.unoccluded_intensity(scene, 35.0, 25.0, jaxir.MWIR)[0])

@@ -8,7 +8,6 @@ import pytest
 
 import jaxir
 from jaxir import LWIR, MWIR
-from jaxir.imaging import _chunks
 from jaxir.imaging import _left_out as left_out
 from jaxir.io.result import sweep
 from jaxir.io.result._way import read_way
@@ -19,10 +18,7 @@ VIEWS = [(40.0, 30.0), (10.0, 50.0), (80.0, 10.0)]
 RASTER = {"shape": (32, 32), "samples": 2}
 
 
-@pytest.fixture(autouse=True)
-def one_program(monkeypatch):
-    """For images of all numbers of rays."""
-    monkeypatch.setattr(_chunks, "TOGETHER", (1,))
+pytestmark = pytest.mark.usefixtures("one_program")
 
 
 def corner(emissivity):

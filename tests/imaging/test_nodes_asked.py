@@ -8,18 +8,14 @@ from jaxir.imaging import Outcome
 from jaxir.io.result import sweep
 from jaxir.optics.spectrum import padded_nodes, with_error
 from jaxir.scene import _optimal_nodes, nodes_within, scene_nodes
-from tests.scenes import plate
+from tests.scenes import hot_layers
 
 BANDS = (jaxir.MWIR, jaxir.LWIR)
 RASTER = {"shape": (4, 4), "samples": 2}
 
 
 def layers():
-    """A hot and a cool layer before a warm plate, through air."""
-    grid = jaxir.Grid((0.0, -0.5, -0.5), (0.4, 1.0, 1.0), (2, 1, 1))
-    gas = jaxir.NarrowBandGas(pressure=5e4, h2o=0.1, co2=0.1)
-    plume = jaxir.GridPlume(grid, np.array([1100.0, 500.0]).reshape(2, 1, 1), gas)
-    return jaxir.Scene(plate(), plume, atmosphere=jaxir.StandardAtmosphere(0.0, 0.0, 5e3))
+    return hot_layers(jaxir.StandardAtmosphere(0.0, 0.0, 5e3))
 
 
 @pytest.mark.parametrize(("rtol", "error"), [(0.1, 0.01), (0.01, 1e-3), (1e-3, 1e-3)])

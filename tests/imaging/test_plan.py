@@ -7,7 +7,7 @@ import pytest
 
 import jaxir
 from jaxir.geometry import pixel_strata
-from jaxir.imaging import ErrorLaw, Pilot, _choices, _chunks, error_law, estimate_chunk, pilot, well_shaped, whole_image
+from jaxir.imaging import ErrorLaw, Pilot, _choices, error_law, estimate_chunk, pilot, well_shaped, whole_image
 from jaxir.imaging._chunks import as_number, first_pass
 from jaxir.imaging._devices import over_items
 from jaxir.imaging._pilot import OF_PILOTS
@@ -18,10 +18,7 @@ SUN = jaxir.ParallelSource((-1.0, 0.0, 0.0), 100.0)
 SUNLIT = jaxir.Scene(plate(), sources=(SUN,), background=jaxir.BlackbodyBackground(250.0))
 
 
-@pytest.fixture(autouse=True)
-def one_program(monkeypatch):
-    """For images of all numbers of rays."""
-    monkeypatch.setattr(_chunks, "TOGETHER", (1,))
+pytestmark = pytest.mark.usefixtures("one_program")
 
 
 def test_a_plan_has_a_sentence_for_every_term():

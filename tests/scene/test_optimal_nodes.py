@@ -9,18 +9,11 @@ import jaxir
 from jaxir import _cache
 from jaxir.scene import _optimal_nodes
 from tests.scene.spectra import side_by_side
-from tests.scenes import plate
+from tests.scenes import hot_layers, plate
 
 BANDS = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
 GAS = jaxir.NarrowBandGas(pressure=5e4, h2o=0.1, co2=0.1)
 AIR = jaxir.StandardAtmosphere(0.0, 0.0, 5e3)
-
-
-def layers(air=None, hot=1100.0):
-    """A hot and a cool layer before a warm plate."""
-    grid = jaxir.Grid((0.0, -0.5, -0.5), (0.4, 1.0, 1.0), (2, 1, 1))
-    plume = jaxir.GridPlume(grid, np.array([hot, 500.0]).reshape(2, 1, 1), GAS)
-    return jaxir.Scene(plate(), plume, atmosphere=air)
 
 
 def fine():
@@ -37,7 +30,7 @@ def seen(scene, nodes):
 
 
 def test_a_twentieth_of_the_nodes_shows_the_same_in_vacuum_and_through_air():
-    scenes = layers(), layers(AIR)
+    scenes = hot_layers(), hot_layers(AIR)
     nodes = jaxir.optimal_nodes(scenes, BANDS, rtol=0.01)
     assert nodes.count < fine().count / 20
     assert (np.asarray(nodes.error) <= 0.01).all() and (np.asarray(nodes.error) > 0).all()
@@ -50,10 +43,10 @@ def test_a_twentieth_of_the_nodes_shows_the_same_in_vacuum_and_through_air():
 
 def test_light_given_for_bands_is_the_same_on_them():
     """Weights sum to the widths of bands, so that a number for a band is divided as before."""
-    nodes = jaxir.optimal_nodes(layers(), BANDS)
+    nodes = jaxir.optimal_nodes(hot_layers(), BANDS)
     width = np.asarray(nodes.response) @ (np.asarray(nodes.weight) * np.asarray(nodes.upper - nodes.lower))
     np.testing.assert_allclose(width, [1e4 / band.lower - 1e4 / band.upper for band in BANDS], rtol=1e-2)
-    lit = jaxir.Scene(layers().skin, sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 2 * [5.0, 7.0, 9.0]),))
+    lit = jaxir.Scene(hot_layers().skin, sources=(jaxir.ParallelSource((-1.0, 0.0, 0.0), 2 * [5.0, 7.0, 9.0]),))
     camera = jaxir.orthographic_camera(0.0, 0.0, 0.05, (2, 2))
     image = jaxir.render(lit, camera, side_by_side(nodes, jaxir.gray_nodes(BANDS)), samples=2)
     few, gray = np.split(np.asarray(image.radiance)[0, 0], 2)
@@ -78,7 +71,7 @@ def test_choices_are_repeated_kept_and_read_again(tmp_path, monkeypatch):
 
     def chosen(hot):
         monkeypatch.setattr(_optimal_nodes, "_held", {})  # as in another process
-        return jaxir.optimal_nodes(layers(hot=hot), BANDS)
+        return jaxir.optimal_nodes(hot_layers(hot=hot), BANDS)
 
     first, again = chosen(1100.0), chosen(1100.0)
     assert len(calls) == 1
@@ -95,8 +88,10 @@ def test_gray_scenes_take_gray_nodes():
 
 def test_what_cannot_be_chosen_is_refused():
     with pytest.raises(ValueError, match="optimal_nodes: got rtol 0.0, expected a number > 0"):
-        jaxir.optimal_nodes(layers(), BANDS, 0.0)
+        jaxir.optimal_nodes(hot_layers(), BANDS, 0.0)
     with pytest.raises(ValueError, match=r"optimal_nodes: got \(\), expected one Scene or several"):
         jaxir.optimal_nodes((), BANDS)
     with pytest.raises(ValueError, match="optimal_nodes: got values that are not known yet"):
-        jax.jit(lambda e: jaxir.optimal_nodes(jaxir.Scene(plate(e), layers().plumes), BANDS).weight)(jnp.asarray(0.5))
+        jax.jit(lambda e: jaxir.optimal_nodes(jaxir.Scene(plate(e), hot_layers().plumes), BANDS).weight)(
+            jnp.asarray(0.5)
+        )
