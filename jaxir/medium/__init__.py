@@ -24,6 +24,7 @@ from jaxir.medium._medium import medium_optics as medium_optics
 from jaxir.medium._primitives import register_linear as register_linear
 from jaxir.medium._primitives import streaming_primitive as streaming_primitive
 from jaxir.medium._sum import MediumSum as MediumSum
+from jaxir.medium._sum import across_pieces as across_pieces
 from jaxir.medium._sum import mean_transmittance as mean_transmittance
 from jaxir.medium._sum import merged_cuts as merged_cuts
 from jaxir.medium._sum import panel_points as panel_points

@@ -19,7 +19,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
-from jaxir._math import frame_around, matmul
+from jaxir._math import dot, frame_around
 from jaxir.geometry import Rays
 from jaxir.medium._active import for_active
 from jaxir.medium._jet_layers import BETWEEN, COMPUTED, KNOTS, across_panels, at_both, between_knots, both
@@ -117,7 +117,8 @@ class JetMedium(AbstractScatterer):
     def to_cube(self, point: Float[Array, "ray 3"]) -> Float[Array, "ray 3"]:
         """See `AbstractScatterer.to_cube`."""
         shape = self.shape
-        x, y, z = matmul(frame_around(shape.direction), (point - shape.nozzle[None]).T).astype(point.dtype)
+        apart = point - shape.nozzle[None]
+        x, y, z = (dot(apart, axis[None]) for axis in frame_around(shape.direction))
         z = jnp.clip(z, 0, shape.end)
         return jnp.stack([self._stations().share(z), (x / shape.edge(z) + 1) / 2, (y / shape.edge(z) + 1) / 2], axis=1)
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float, as_one_program
-from jaxir._math import safe_sqrt
+from jaxir._math import dot, safe_sqrt
 from jaxir.geometry import FLAT, AxisView, Rays, inside_cone, view_from_axis
 from jaxir.medium._jet_layers import GAUSS
 
@@ -70,9 +70,9 @@ class JetShape(eqx.Module):
         """Mixture fraction at points [*batch, 3] [m]."""
         lead = (None,) * (points.ndim - 1)
         offset, axis = points - self.nozzle[lead], self.direction[lead]
-        along = jnp.sum(offset * axis, axis=-1)
+        along = dot(offset, axis)
         across = offset - along[..., None] * axis
-        return self.mixture_fraction(along, jnp.sum(across * across, axis=-1))
+        return self.mixture_fraction(along, dot(across, across))
 
 
 class Chord(NamedTuple):

@@ -112,19 +112,29 @@ def radiance_between(
     """
 
     def along(some: tuple[Array, Rays, Array]) -> Array:
-        twice = jax.tree.map(lambda x: jnp.concatenate([x, x]), some[1])
-
-        def panel(radiance: Array, points: tuple[Array, Array]) -> tuple[Array, None]:
-            t, half = points  # both points together are half the operations
-            found = coefficients(twice, t.reshape(-1))
-            depth, sent = (value.reshape(2, *radiance.shape) * half[None, :, None] for value in found)
-            return front_of_panel(radiance, *depth, *sent), None
-
-        return lax.scan(panel, some[2], panel_points(some[0]), reverse=True)[0]
+        return across_pieces(*some, coefficients)
 
     meets = cuts[:, 0] < cuts[:, -1]
     found = for_active(along, meets, (cuts, rays, behind), behind.shape[1])
     return jnp.where(meets[:, None], found, behind)
+
+
+def across_pieces(
+    cuts: Float[Array, "ray cut"],
+    rays: Rays,
+    behind: Float[Array, "ray node"],
+    coefficients: Callable[[Rays, Array], tuple[Array, Array]],
+) -> Float[Array, "ray node"]:
+    """`radiance_between` of rays that are carried together, as `for_active` hands them over."""
+    twice = jax.tree.map(lambda x: jnp.concatenate([x, x]), rays)
+
+    def panel(radiance: Array, points: tuple[Array, Array]) -> tuple[Array, None]:
+        t, half = points  # both points together are half the operations
+        found = coefficients(twice, t.reshape(-1))
+        depth, sent = (value.reshape(2, *radiance.shape) * half[None, :, None] for value in found)
+        return front_of_panel(radiance, *depth, *sent), None
+
+    return lax.scan(panel, behind, panel_points(cuts), reverse=True)[0]
 
 
 def mean_transmittance(medium: AbstractMedium, rays: Rays, cuts: Float[Array, "ray cut"]) -> Float[Array, "ray cut"]:
@@ -132,15 +142,21 @@ def mean_transmittance(medium: AbstractMedium, rays: Rays, cuts: Float[Array, "r
 
     By the middle of every piece.
     """
-
-    def across(passed: Array, piece: tuple[Array, Array]) -> tuple[Array, Array]:
-        middle, length = piece
-        left = passed * jnp.exp(-medium.coefficients(rays.at(middle))[0] * length[:, None])
-        return left, jnp.mean(left, axis=1)
-
-    pieces = ((cuts[:, 1:] + cuts[:, :-1]) / 2).T, jnp.diff(cuts).T
     nodes = jax.eval_shape(medium.coefficients, rays.origin)[0].shape[1]
-    left = lax.scan(across, jnp.ones((rays.count, nodes), cuts.dtype), pieces)[1].T
+
+    def along(some: tuple[Array, Rays]) -> Array:
+        cuts, rays = some
+
+        def across(passed: Array, piece: tuple[Array, Array]) -> tuple[Array, Array]:
+            middle, length = piece
+            left = passed * jnp.exp(-medium.coefficients(rays.at(middle))[0] * length[:, None])
+            return left, left  # a mean over nodes in the loop would keep it from native code
+
+        pieces = ((cuts[:, 1:] + cuts[:, :-1]) / 2).T, jnp.diff(cuts).T
+        return jnp.mean(lax.scan(across, jnp.ones((rays.count, nodes), cuts.dtype), pieces)[1], axis=2).T
+
+    meets = cuts[:, 0] < cuts[:, -1]
+    left = jnp.where(meets[:, None], for_active(along, meets, (cuts, rays), nodes), 1)
     return jnp.concatenate([jnp.ones_like(left[:, :1]), left], axis=1)
 
 

@@ -565,6 +565,33 @@ def along_the_axis(panels, albedo=0.99, absorption=0.05):
     return look(jaxir.Scene(None, made), rays, Method(scattering=DiscreteOrdinates(25, 5, 1)))
 
 
+@optimised
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="native loops are a matter of the CPU compiler")
+@pytest.mark.skipif("set by jaxir" not in jaxir.compiler_options(), reason="another owner of the process")
+@pytest.mark.parametrize("made", [box(1.0, 0.9, jaxir.Isotropic()), jet()], ids=["cells", "jet"])
+def test_loops_along_rays_are_native(made):
+    """Operation by operation they take five times as long."""
+    scene = jaxir.Scene(None, made, jaxir.ParallelSource((0.0, 0.0, -1.0), 10.0))
+    lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), COARSE)
+    medium = aimed(lit, jaxir.orthographic_camera(90, 0, 0.15, (8, 8))).medium
+    rays = jax.tree.map(as_float, rays_through(2048))
+
+    def seen(medium, rays):
+        return medium.radiance(rays, jnp.full(rays.count, jnp.inf), jnp.zeros((rays.count, 1)))
+
+    lines = jax.jit(seen).lower(medium, rays).compile().as_text().splitlines()
+    loops = [line.strip() for line in lines if " while(" in line and "checkpoint" in line]
+    assert len(loops) >= 3  # what comes from where, to the eye, and elsewhere
+    assert all(line.startswith("ROOT") for line in loops)  # each the whole of what is called as native code
+
+
+@pytest.mark.parametrize("kelvins, through", [(250.0, True), (2500.0, False)])
+def test_depths_are_looked_for_along_rays_only_where_light_shows(kelvins, through):
+    """Between the lattice's points a jet misreads the sun; where it glows ten thousand times brighter, who cares."""
+    lit = jaxir.Scene(None, jet(kelvins), jaxir.ParallelSource((0.0, 0.0, -1.0), 10.0)).on(gray_nodes((jaxir.MWIR,)))
+    assert with_scattered(lit, COARSE).medium.through is through
+
+
 def test_light_along_a_jet_is_summed_where_it_comes_from():
     """A core many optical depths long is one panel, and what shines out of it comes from its end."""
     np.testing.assert_allclose(along_the_axis(2), along_the_axis(12), rtol=0.04)

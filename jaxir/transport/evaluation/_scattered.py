@@ -83,12 +83,11 @@ def _solved(lit: Lit, method: Method) -> AbstractMedium:
     count = equations.groups.unscattered.shape[0]
     if is_traced(equations):
         solutions = lax.map(lambda group: solution(equations, ordinates, group), jnp.arange(count, dtype=jnp.int32))
-    else:
-        of_group = of_items(_solution, (equations, ordinates))
-        groups = np.arange(count, dtype=np.int32)
-        each = list(each_of(lambda group: jax.block_until_ready(of_group(group)), groups, ready=count > 1))
-        solutions = jax.tree.map(lambda *some: jnp.stack(some), *each)
-    return _finished(equations, ordinates, solutions)
+        return _finished(equations, ordinates, solutions)
+    of_group = of_items(_solution, (equations, ordinates))
+    groups = np.arange(count, dtype=np.int32)
+    each = list(each_of(lambda group: jax.block_until_ready(of_group(group)), groups, ready=count > 1))
+    return _finished(equations, ordinates, jax.tree.map(lambda *some: jnp.stack(some), *each)).settled()
 
 
 @program
@@ -110,5 +109,5 @@ def _solution(asked: tuple[Posed, DiscreteOrdinates], group: Int[Array, ""]) -> 
 
 
 @program
-def _finished(equations: Posed, ordinates: DiscreteOrdinates, solutions: Solution) -> AbstractMedium:
+def _finished(equations: Posed, ordinates: DiscreteOrdinates, solutions: Solution) -> Scattered:
     return finished(equations, ordinates, solutions)

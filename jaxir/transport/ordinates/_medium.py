@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -21,25 +22,27 @@ from jaxir.medium import (
     AbstractMedium,
     AbstractScatterer,
     Capsules,
+    across_pieces,
     for_active,
     mean_transmittance,
     panel_points,
     panel_weights,
-    radiance_between,
 )
 from jaxir.scene import Lit
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._lattice import about
-from jaxir.transport.ordinates._part import Aimed, Near, Part, Told
+from jaxir.transport.ordinates._part import Aimed, Part, Told
 
 SOLVED = 2e-5  # residual of a solution at most
 THICK = 4.0  # optical depth of scattering between neighbours of the lattice across a plume at most
-MISREAD = 0.01  # of what is scattered of a source's light may err by how depths are read between points
+MISREAD = 0.01  # of what a plume emits and scatters of a source's light may err by how depths are read between points
 LOBE = 0.2  # moment beyond the harmonics that is neglected at most
 SLOW = 2.0  # times the change as pieces are halved, which leaves up to half of the error where they are thick
 MORE = 12  # cuts of a ray where light that reaches it comes from
 SIDE = 64  # of the grid of rays of which those are chosen on which an image's error is found
 CHOSEN = 256  # of them
+
+T = TypeVar("T")
 
 
 class Scattered(AbstractMedium):
@@ -53,6 +56,8 @@ class Scattered(AbstractMedium):
         step: largest optical depth of scattering between neighbours of the lattice on that of its axes on which it is
             least: light leaves a long plume across, and along it little changes from one depth to the next.
         backward: largest Legendre moment beyond the harmonics that is none of a forward lobe.
+        through: whether beams are found through the medium along rays, as depths at points of the lattice are too far
+            apart; None where that is seen while a program runs.
     """
 
     medium: AbstractMedium
@@ -61,6 +66,7 @@ class Scattered(AbstractMedium):
     residual: Float[Array, ""]
     step: Float[Array, ""]
     backward: Float[Array, ""]
+    through: bool | None = eqx.field(static=True, default=None)
 
     def radiance(
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
@@ -90,34 +96,52 @@ class Scattered(AbstractMedium):
     ) -> Float[Array, "ray node"]:
         """Radiance between cuts [ray, node]; with what one part `alone` scatters, of rays of the eye it is aimed at."""
 
-        def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
-            point = rays.at(t)
-            extinction, source = self.medium.coefficients(point)
-            for place, part in enumerate(self.parts):
-                if alone is None or place == alone:
-                    source = source + of_part(part, rays, point)
-            return extinction, source
+        def between(through: bool) -> Array:
+            def coefficients(to_eye: bool, rays: Rays, t: Array) -> tuple[Array, Array]:
+                point = rays.at(t)
+                extinction, source = self.medium.coefficients(point)
+                for place, part in enumerate(self.parts):
+                    if alone is None or place == alone:
+                        near = part.near(point, self.medium if through else None)
+                        source = source + (part.sent(near) if to_eye else part.source(near, point, rays.direction))
+                return extinction, source
 
-        def of_part(part: Part, rays: Rays, point: Array) -> Array:
-            near = self._near(part, point)
-            if part.aimed is None:
-                return part.source(near, point, rays.direction)
-            if alone is not None:
-                return part.sent(near)
-            served = part.aimed.serves(rays)  # of the rays that are carried together: those of the eye are neighbours
-            return lax.cond(served, lambda: part.sent(near), lambda: part.source(near, point, rays.direction))
+            def along(some: tuple[Array, Rays, Array]) -> Array:
+                to_eye, to_others = (
+                    lambda way=way: across_pieces(*some, partial(coefficients, way)) for way in (True, False)
+                )
+                if alone is not None:
+                    return to_eye()
+                if any(part.aimed is None for part in self.parts):
+                    return to_others()
+                served = jnp.stack([part.aimed.serves(some[1]) for part in self.parts if part.aimed is not None])
+                return lax.cond(jnp.all(served), to_eye, to_others)  # those of the eye are neighbours
 
-        return radiance_between(cuts, rays, behind, coefficients)
+            meets = cuts[:, 0] < cuts[:, -1]
+            return jnp.where(meets[:, None], for_active(along, meets, (cuts, rays, behind), self.nodes), behind)
+
+        return self._with_beams(between)
+
+    def settled(self) -> Scattered:
+        """The same of known values, with what they decide about programs."""
+        return dataclasses.replace(self, through=bool(np.asarray(self._misreads)))
 
     @property
-    def deep(self) -> Bool[Array, ""]:
-        """Whether depths towards a source err by more than `MISREAD`: all are looked for through the medium then."""
+    def _misreads(self) -> Bool[Array, ""]:
+        """Whether depths towards a source err by more than `MISREAD` where they are read between points."""
         every = [beam.misread > MISREAD for part in self.parts for beam in part.beams]
-        return jnp.any(jnp.stack(every or [False]))
+        return jnp.any(jnp.stack(every or [jnp.asarray(False)]))
 
-    def _near(self, part: Part, point: Float[Array, "ray 3"]) -> Near:
-        """What is needed of a part at points; where what the lattice errs is sampled, that of beams too."""
-        return part.near(point) if part.doubt is None else part.near(point, self.medium, self.deep)
+    def _with_beams(self, found: Callable[[bool], T]) -> T:
+        """What is `found` with beams through the medium, or else by depths that are read.
+
+        Decided for all rays: in the loop along them a search through the medium would keep it from native code.
+        """
+        if self.parts[0].doubt is None or self.through is False:  # else `lacking` speaks of beams that are read
+            return found(False)
+        if self.through:
+            return found(True)
+        return lax.cond(self._misreads, lambda: found(True), lambda: found(False))
 
     @property
     def nodes(self) -> int:
@@ -135,9 +159,9 @@ class Scattered(AbstractMedium):
         ready = self if self.parts[0].aimed is not None else self.aimed_at(eye)
         part = ready.parts[place]
 
-        def told(point: Array) -> tuple[Array, list[Array]]:
+        def told(point: Array, through: bool) -> tuple[Array, list[Array]]:
             extinction, emission = self.medium.coefficients(point)
-            whole, rough, *others = part.told(self._near(part, point))
+            whole, rough, *others = part.told(part.near(point, self.medium if through else None))
             return extinction, [emission + whole, emission + rough, *others]
 
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
@@ -146,7 +170,7 @@ class Scattered(AbstractMedium):
             whole = ready._between(halved, rays, dark, place)
             found = Told(whole, whole, dark, dark)
         else:
-            found = Told(*summed(halved, rays, told))
+            found = Told(*self._with_beams(lambda through: summed(halved, rays, partial(told, through=through))))
         return *found, SLOW * jnp.abs(found.whole - ready._between(cuts, rays, dark, place))
 
     def expected(

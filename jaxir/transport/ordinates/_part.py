@@ -46,7 +46,7 @@ class Beam(eqx.Module):
         forward: depth of what is scattered forward, which is not in `depth` [point, node].
         aside: what passes more in the mean about the points than `depth` says where it is read there [point, node].
         seen: whether nothing hides it.
-        misread: share of what is scattered of its light by which that errs.
+        misread: share by which that errs, of what is emitted and scattered of its light, in the worst node.
     """
 
     source: AbstractDeltaSource
@@ -172,23 +172,17 @@ class Part(eqx.Module):
     counts: tuple[int, int, int] = eqx.field(static=True)
     aimed: Aimed | None = None
 
-    def near(
-        self, point: Float[Array, "ray 3"], medium: AbstractMedium | None = None, deep: Bool[Array, ""] | None = None
-    ) -> Near:
-        """What is needed at points; of beams, where `deep`, through the `medium` in place of depths at other points."""
+    def near(self, point: Float[Array, "ray 3"], medium: AbstractMedium | None = None) -> Near:
+        """What is needed at points; of beams through the `medium`, if given, in place of depths at other points."""
         between = about(self.counts, self.medium.to_cube(point))
         scattering = self.medium.scattering_at(point)
-
-        def read() -> tuple[Lighting, ...]:
-            return tuple(beam.read(between, point) for beam in self.beams)
+        if medium is None or not self.beams:
+            return Near(between, scattering, tuple(beam.read(between, point) for beam in self.beams))
 
         def found() -> tuple[Lighting, ...]:
-            assert medium is not None
             return tuple(beam.found(medium, point) for beam in self.beams)
 
-        if not self.beams or deep is None:
-            return Near(between, scattering, read())
-        return Near(between, scattering, _where_some(scattering, lambda: lax.cond(deep, found, read)))
+        return Near(between, scattering, _where_some(scattering, found))
 
     # Into any direction -----------------------------------------------------------------------------------------------
 
@@ -307,7 +301,8 @@ class Part(eqx.Module):
 def _where_some(scattering: Float[Array, "ray node"], found: Callable[[], Any]) -> Any:
     """What is `found` at points where something scatters; nothing is done where it is none of them.
 
-    XLA fuses no further than a condition: what is read is then one kernel, however often it is used.
+    XLA fuses no further than a condition: what is read is then one kernel, however often it is used. A loop that asks
+    for the largest number of a table is not made native code, one that asks for any is.
     """
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(found))
-    return lax.cond(jnp.max(scattering) > 0, found, lambda: nothing)
+    return lax.cond(jnp.any(scattering > 0), found, lambda: nothing)

@@ -303,7 +303,8 @@ def _beam(
         lambda one: eqx.combine(one, rest).transmittance(Rays(many, omega), distance),
         jax.tree.map(lambda *both: jnp.stack(both), own, whole),
     )
-    scattering = lax.stop_gradient(part.scattering_at(many).max(axis=1)).reshape(len(CORNERS), len(place), 1)
+    each = lax.stop_gradient(part.scattering_at(many))
+    scattering = each.max(axis=1).reshape(len(CORNERS), len(place), 1)
     total = scattering.sum(axis=0, keepdims=True)
     weight = jnp.where(total > 0, scattering, 1) / jnp.where(total > 0, total, len(CORNERS))
 
@@ -313,9 +314,10 @@ def _beam(
     tiny = jnp.finfo(passed.dtype).tiny  # beyond it nothing is left
     depth, whole = (mean(-jnp.log(jnp.maximum(x, tiny))) for x in (passed, of_given))
     aside = mean(passed - jnp.exp(-about(lattice.read, corner).read(depth)))
-    scattered = (total * jnp.stack([mean(passed), jnp.abs(aside)])).sum(axis=1)
-    misread = jnp.max(scattered[1] / jnp.where(scattered[0] > 0, scattered[0], 1))
     point = part.from_cube(as_float(place))
+    lit_by = mean(each) * jax.vmap(source.beam)(point) / (4 * math.pi)
+    sent = jnp.sum(mean(part.coefficients(many)[1]) + lit_by * mean(passed), axis=0)
+    misread = jnp.max(jnp.sum(lit_by * jnp.abs(aside), axis=0) / jnp.where(sent > 0, sent, 1))
     omega, distance = jax.vmap(source.toward)(point)
     seen = jnp.ones((point.shape[0], 1), point.dtype)
     if lit.scene.skin is not None:
