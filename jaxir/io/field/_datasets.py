@@ -16,6 +16,7 @@ import numpy as np
 from jaxir.io._files import largest_number, require_file
 
 FARTHEST_POINT = 1e12  # coordinates in whatever unit the file has; 1e9 m, the farthest of a mesh, in mm
+_READ = ".vtk, .vti, .vtr, .vts, .vtu, .vtp, .vtm, .pvd, .foam, .cgns, .case, .xdmf or another format of VTK"
 # Points of a cell by its type in VTK; the types that are not here have as many as a cell likes.
 _CORNERS = {1: 1, 3: 2, 5: 3, 8: 4, 9: 4, 10: 4, 11: 8, 12: 8, 13: 6, 14: 5, 15: 10, 16: 12}
 _CORNERS |= {21: 3, 22: 6, 23: 8, 24: 10, 25: 20, 26: 15, 27: 13, 28: 9, 29: 27, 30: 6, 31: 12, 32: 18, 33: 24, 34: 7}
@@ -41,8 +42,13 @@ def read_dataset(pyvista: ModuleType, file: Path, time: float | None) -> Any:
     if file.suffix == ".vtk":
         _require_version(file)
     with _named(pyvista, file):
-        reader = pyvista.get_reader(str(file))
+        try:
+            reader = pyvista.get_reader(str(file))
+        except ValueError:  # none for the extension
+            reader = None
         times = list(getattr(reader, "time_values", None) or [])
+    if reader is None:
+        raise ValueError(f"{file}: got a file {file.suffix or 'without extension'}, expected {_READ}")
     if time is not None and not any(math.isclose(time, known) for known in times):
         raise ValueError(f"{file}: time {time} not found, the file holds {times or 'no times'}")
     with _named(pyvista, file):
@@ -113,6 +119,10 @@ def _require_consistent(pyvista: ModuleType, file: Path, data: Any) -> None:
     wrong = points[~(np.abs(points) < FARTHEST_POINT)]
     if wrong.size:
         raise ValueError(f"{file}: got a coordinate {wrong[0]}, expected finite ones below {FARTHEST_POINT:g}")
+    if isinstance(data, pyvista.RectilinearGrid):
+        for name, along in zip("xyz", (data.x, data.y, data.z), strict=True):
+            if (np.diff(along) <= 0).any():
+                raise ValueError(f"{file}: got coordinates along {name} that do not rise, expected each above the last")
     if isinstance(data, pyvista.UnstructuredGrid) and data.n_cells:
         corners = _require_corners(pyvista, file, data.GetCells(), data.n_points)
         kinds = np.asarray(data.celltypes)

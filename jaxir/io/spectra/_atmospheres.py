@@ -192,18 +192,19 @@ _TRANSMITTANCE = ("TOT TRANS", "COMBIN", "TRANS")
 _ADDED = ("PTH THRML", "SOL SCAT")
 _ASIDE = 3  # characters by which a value may end beside its column's name; versions differ by one or two
 _WAVENUMBER, _WAVELENGTH = "FREQ", "WAVLEN MCRN"
+_BYTE_ORDER = "\xef\xbb\xbf"  # the mark with which some editors begin a file
 
 
 class _Tape7:
     """The lines of a file's first run, and where its columns end."""
 
     def __init__(self, file: Path):
-        self.file, self.lines = file, read_text(file, "latin-1").splitlines()
-        heads = {i: tuple(line.replace("_", " ").split()[:2]) for i, line in enumerate(self.lines)}
+        self.file, self.lines = file, read_text(file, "latin-1").removeprefix(_BYTE_ORDER).splitlines()
+        heads = {i: tuple(line.upper().replace("_", " ").split()[:2]) for i, line in enumerate(self.lines)}
         start = next((i for i, head in heads.items() if head[:1] in (("FREQ",), ("WAVLEN",))), None)
         if start is None:
             raise ValueError(f"{file}: got no header line that starts with FREQ, expected MODTRAN's tape7")
-        self.header = start + 1  # counted from 1
+        self.header, self.head = start + 1, self.lines[start].upper()  # its number from 1, and its words
         self.axis = _WAVENUMBER if heads[start][0] == "FREQ" else _WAVELENGTH
         if not self.has(self.axis):
             raise ValueError(f"{file}:{start + 1}: got {' '.join(heads[start])}, expected FREQ or {_WAVELENGTH}")
@@ -225,7 +226,7 @@ class _Tape7:
 
     def _end(self, name: str) -> int | None:
         """Where the column `name` ends; the words of a name are joined by a blank or an underscore."""
-        match = re.search(rf"(?<!\S){name.replace(' ', '[ _]')}(?!\S)", self.lines[self.header - 1])
+        match = re.search(rf"(?<!\S){name.replace(' ', '[ _]')}(?!\S)", self.head)
         return match.end() if match else None
 
     def cell(self, line: str, name: str) -> str:
@@ -241,12 +242,14 @@ class _Tape7:
 
     def _require_below(self, number: int, line: str, names: Sequence[str]) -> None:
         """Up to the last of columns `names` every value ends below a name, and none of theirs is another's, too."""
-        head = self.lines[self.header - 1]
-        ends, last = np.array([word.end() for word in re.finditer(r"\S+", head)]), max(self._end(n) or 0 for n in names)
+        ends, last = (
+            np.array([word.end() for word in re.finditer(r"\S+", self.head)]),
+            max(self._end(n) or 0 for n in names),
+        )
         own = [word for word in (self._word(line, name) for name in names) if word]
         every = (word.end() for word in re.finditer(r"\S+", line))
         aside = any(np.min(np.abs(ends - end)) > _ASIDE for end in every if end <= last + _ASIDE)
-        if aside or len(own) != len(set(own)) or "\t" in head + line:
+        if aside or len(own) != len(set(own)) or "\t" in self.head + line:
             raise ValueError(
                 f"{self.file}:{number}: got values that do not end below the names of their columns, expected "
                 "them in columns as MODTRAN writes them, without tabs"

@@ -137,11 +137,11 @@ class Scattered(AbstractMedium):
 
         Decided for all rays: in the loop along them a search through the medium would keep it from native code.
         """
-        if self.parts[0].doubt is None or self.through is False:  # else `lacking` speaks of beams that are read
-            return found(False)
-        if self.through:
-            return found(True)
-        return lax.cond(self._misreads, lambda: found(True), lambda: found(False))
+        sampled = self.parts[0].doubt is None  # then `lacking` speaks of beams that are read
+        through = False if sampled else self.through
+        if through is None:
+            return lax.cond(self._misreads, lambda: found(True), lambda: found(False))
+        return found(through)
 
     @property
     def nodes(self) -> int:

@@ -120,6 +120,9 @@ def test_errors_name_file_field_and_what_was_found(tmp_path):
     pyvista.Sphere().save(tmp_path / "skin.vtp")
     (tmp_path / "bad.vtu").write_text("hello")
     (tmp_path / "what.xyzzy").write_text("hello")
+    turned = pyvista.RectilinearGrid([0.0, 1.0], [0.0, 2.0, 1.0], [0.0, 1.0])
+    turned.point_data["T"] = np.full(turned.n_points, 500.0)
+    turned.save(tmp_path / "turned.vtr")
 
     def load(name, fields=("T",), **more):
         return load_flow(tmp_path / name, dict.fromkeys(fields, 300.0), **{"unit": "m", "shape": (2, 2, 2), **more})
@@ -134,7 +137,8 @@ def test_errors_name_file_field_and_what_was_found(tmp_path):
         (lambda: load("nan.vti"), "nan.vti: field 'T' is nan at entry 5"),
         (lambda: load("skin.vtp"), "skin.vtp: holds no volume cells, found PolyData with 1680 flat cells"),
         (lambda: load("bad.vtu"), "bad.vtu: "),
-        (lambda: load("what.xyzzy"), "what.xyzzy: not readable as a computed field"),
+        (lambda: load("what.xyzzy"), r"what.xyzzy: got a file .xyzzy, expected .vtk, .*"),
+        (lambda: load("turned.vtr"), "turned.vtr: got coordinates along y that do not rise"),
         (lambda: load("flow.vti", unit="furlong"), "unit: got 'furlong', expected one of m"),
         (lambda: load("flow.vti", []), "flow.vti: got no fields"),
         (lambda: load("flow.vti", box=[[0, 0, 0], [1, 1, 0]]), "flow.vti: the box .* has no volume"),

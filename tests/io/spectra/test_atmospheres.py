@@ -64,13 +64,14 @@ def test_tape7_round_trip(mode, tmp_path):
 
 
 def test_tape7_of_other_versions(tmp_path):
-    lines = [line.replace("TOT TRANS", "TOT_TRANS").replace("PTH THRML", "PTH_THRML") for line in tape7(2)]
+    lines = [line.replace("TOT TRANS", "tot_trans").replace("PTH THRML", "PTH_THRML") for line in tape7(2)]
     lines = [line[2:] if line.startswith("    FREQ") else line for line in lines]  # header shifted by two
     descending = lines[:4] + lines[-3:3:-1] + lines[-2:]
     file = tmp_path / "case.7sc"
-    file.write_text("\n".join(descending))
-    air = load_tape7(file)
-    assert np.allclose(air.wavenumber, WAVENUMBER) and np.allclose(air.transmittance, TRANSMITTANCE, atol=1e-6)
+    for begin in (0, 3):  # an editor may have left the header alone, behind a mark
+        file.write_text("\n".join(descending[begin:]), encoding="utf-8-sig")
+        air = load_tape7(file)
+        assert np.allclose(air.wavenumber, WAVENUMBER) and np.allclose(air.transmittance, TRANSMITTANCE, atol=1e-6)
 
 
 @pytest.mark.parametrize("between", ["\t", " "])
