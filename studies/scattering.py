@@ -130,12 +130,13 @@ def measured(case: Case, method: Method, samples: int, compile_first: bool) -> t
     return found, time.perf_counter() - begin
 
 
-def rows_of(case: Case, seconds: float, compiled: list[str]) -> Iterator[dict]:
+def rows_of(case: Case, seconds: float, compiled: list[tuple]) -> Iterator[dict]:
     mean, error, left = reference(case, seconds)
     for way, (method, samples) in WAYS.items():
         try:
-            found, taken = measured(case, method, samples, way not in compiled)
-            compiled.append(way)
+            kind = way, case.depth, case.light  # where a plume is deep light of the sun is looked for along rays
+            found, taken = measured(case, method, samples, kind not in compiled)
+            compiled.append(kind)
             value, deviation, share = (
                 np.asarray(x, float)[:, 0] for x in (found.intensity, found.standard_error, found.truncation)
             )
