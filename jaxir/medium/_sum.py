@@ -42,7 +42,10 @@ class MediumSum(AbstractMedium):
         def coefficients(rays: Rays, t: Array) -> tuple[Array, Array]:
             return self.coefficients(rays.at(t))
 
-        return radiance_between(self.cuts(rays, t_max), rays, behind, coefficients)
+        def across(cuts: Array, rays: Rays, behind: Array) -> Array:
+            return across_pieces(cuts, rays, behind, coefficients)
+
+        return radiance_between(self.cuts(rays, t_max), rays, behind, across)
 
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`: the product."""
@@ -98,7 +101,7 @@ def radiance_between(
     cuts: Float[Array, "ray cut"],
     rays: Rays,
     behind: Float[Array, "ray node"],
-    coefficients: Callable[[Rays, Array], tuple[Array, Array]],
+    across: Callable[[Array, Rays, Array], Array],
 ) -> Float[Array, "ray node"]:
     """Radiance at the origins of rays whose extinction and source are smooth between cuts.
 
@@ -106,16 +109,10 @@ def radiance_between(
         cuts: as `AbstractMedium.cuts`.
         rays: the rays.
         behind: radiance that enters them [ray, node] [W m-2 sr-1].
-        coefficients: extinction [ray, node] [m-1] and source [ray, node] [W m-3 sr-1] of rays at distances [ray] [m].
-
-    Differentiable in what `coefficients` holds and in `behind`, to any order.
+        across: radiance [ray, node] of these for rays that are carried together, see `across_pieces`.
     """
-
-    def along(some: tuple[Array, Rays, Array]) -> Array:
-        return across_pieces(*some, coefficients)
-
     meets = cuts[:, 0] < cuts[:, -1]
-    found = for_active(along, meets, (cuts, rays, behind), behind.shape[1])
+    found = for_active(lambda some: across(*some), meets, (cuts, rays, behind), behind.shape[1])
     return jnp.where(meets[:, None], found, behind)
 
 
@@ -125,7 +122,16 @@ def across_pieces(
     behind: Float[Array, "ray node"],
     coefficients: Callable[[Rays, Array], tuple[Array, Array]],
 ) -> Float[Array, "ray node"]:
-    """`radiance_between` of rays that are carried together, as `for_active` hands them over."""
+    """Radiance [ray, node] at the origins of rays that are carried together.
+
+    Args:
+        cuts: as `AbstractMedium.cuts`.
+        rays: the rays.
+        behind: radiance that enters them [ray, node] [W m-2 sr-1].
+        coefficients: extinction [ray, node] [m-1] and source [ray, node] [W m-3 sr-1] of rays at distances [ray] [m].
+
+    Differentiable in what `coefficients` holds and in `behind`, to any order.
+    """
     twice = jax.tree.map(lambda x: jnp.concatenate([x, x]), rays)
 
     def panel(radiance: Array, points: tuple[Array, Array]) -> tuple[Array, None]:

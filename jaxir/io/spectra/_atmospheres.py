@@ -242,10 +242,8 @@ class _Tape7:
 
     def _require_below(self, number: int, line: str, names: Sequence[str]) -> None:
         """Up to the last of columns `names` every value ends below a name, and none of theirs is another's, too."""
-        ends, last = (
-            np.array([word.end() for word in re.finditer(r"\S+", self.head)]),
-            max(self._end(n) or 0 for n in names),
-        )
+        ends = np.array([word.end() for word in re.finditer(r"\S+", self.head)])
+        last = max(self._end(name) or 0 for name in names)
         own = [word for word in (self._word(line, name) for name in names) if word]
         every = (word.end() for word in re.finditer(r"\S+", line))
         aside = any(np.min(np.abs(ends - end)) > _ASIDE for end in every if end <= last + _ASIDE)

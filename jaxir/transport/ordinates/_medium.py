@@ -27,6 +27,7 @@ from jaxir.medium import (
     mean_transmittance,
     panel_points,
     panel_weights,
+    radiance_between,
 )
 from jaxir.scene import Lit
 from jaxir.transport.ordinates._collected import collected
@@ -106,19 +107,17 @@ class Scattered(AbstractMedium):
                         source = source + (part.sent(near) if to_eye else part.source(near, point, rays.direction))
                 return extinction, source
 
-            def along(some: tuple[Array, Rays, Array]) -> Array:
-                to_eye, to_others = (
-                    lambda way=way: across_pieces(*some, partial(coefficients, way)) for way in (True, False)
-                )
-                if alone is not None:
-                    return to_eye()
-                if any(part.aimed is None for part in self.parts):
-                    return to_others()
-                served = jnp.stack([part.aimed.serves(some[1]) for part in self.parts if part.aimed is not None])
-                return lax.cond(jnp.all(served), to_eye, to_others)  # those of the eye are neighbours
+            def across(cuts: Array, rays: Rays, behind: Array) -> Array:
+                def found(to_eye: bool) -> Array:
+                    return across_pieces(cuts, rays, behind, partial(coefficients, to_eye))
 
-            meets = cuts[:, 0] < cuts[:, -1]
-            return jnp.where(meets[:, None], for_active(along, meets, (cuts, rays, behind), self.nodes), behind)
+                aimed = [part.aimed for part in self.parts if part.aimed is not None]
+                if alone is not None or len(aimed) < len(self.parts):
+                    return found(alone is not None)
+                served = jnp.all(jnp.stack([own.serves(rays) for own in aimed]))  # those of the eye are neighbours
+                return lax.cond(served, lambda: found(True), lambda: found(False))
+
+            return radiance_between(cuts, rays, behind, across)
 
         return self._with_beams(between)
 
