@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import json
 import os
@@ -64,8 +65,8 @@ def require_file(path: str | os.PathLike) -> Path:
     return file
 
 
-def read_text(path: str | os.PathLike, encoding: str = "utf-8-sig") -> str:
-    """The whole of a text file.
+def read_text(path: str | os.PathLike, encoding: str = "utf-8") -> str:
+    """The whole of a text file, without the mark that some editors begin it with.
 
     Raises:
         ValueError: no such file, one that is too large or holds bytes that are no text; names file and line.
@@ -73,12 +74,12 @@ def read_text(path: str | os.PathLike, encoding: str = "utf-8-sig") -> str:
     file = require_file(path)
     if file.stat().st_size > LARGEST_TEXT:
         raise ValueError(f"{file}: got {file.stat().st_size} bytes, expected a text of at most {LARGEST_TEXT}")
-    raw = file.read_bytes()
+    raw = file.read_bytes().removeprefix(codecs.BOM_UTF8)
     try:
         return raw.decode(encoding)
     except UnicodeDecodeError as error:
-        line, wanted = raw.count(b"\n", 0, error.start) + 1, encoding.upper().removesuffix("-SIG")
-        raise ValueError(f"{file}:{line}: got the byte {raw[error.start]:#04x}, expected {wanted}") from error
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ValueError(f"{file}:{line}: got the byte {raw[error.start]:#04x}, expected {encoding.upper()}") from error
 
 
 def read_json(file: Path, expected: str) -> Any:

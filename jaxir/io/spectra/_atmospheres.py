@@ -192,14 +192,13 @@ _TRANSMITTANCE = ("TOT TRANS", "COMBIN", "TRANS")
 _ADDED = ("PTH THRML", "SOL SCAT")
 _ASIDE = 3  # characters by which a value may end beside its column's name; versions differ by one or two
 _WAVENUMBER, _WAVELENGTH = "FREQ", "WAVLEN MCRN"
-_BYTE_ORDER = "\xef\xbb\xbf"  # the mark with which some editors begin a file
 
 
 class _Tape7:
     """The lines of a file's first run, and where its columns end."""
 
     def __init__(self, file: Path):
-        self.file, self.lines = file, read_text(file, "latin-1").removeprefix(_BYTE_ORDER).splitlines()
+        self.file, self.lines = file, read_text(file, "latin-1").splitlines()
         heads = {i: tuple(line.upper().replace("_", " ").split()[:2]) for i, line in enumerate(self.lines)}
         start = next((i for i, head in heads.items() if head[:1] in (("FREQ",), ("WAVLEN",))), None)
         if start is None:

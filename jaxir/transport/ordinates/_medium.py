@@ -58,7 +58,7 @@ class Scattered(AbstractMedium):
             least: light leaves a long plume across, and along it little changes from one depth to the next.
         backward: largest Legendre moment beyond the harmonics that is none of a forward lobe.
         through: whether beams are found through the medium along rays, as depths at points of the lattice are too far
-            apart; None where that is seen while a program runs.
+            apart; None where that is seen while a program runs. Never where what the lattice errs is sampled.
     """
 
     medium: AbstractMedium
@@ -67,7 +67,7 @@ class Scattered(AbstractMedium):
     residual: Float[Array, ""]
     step: Float[Array, ""]
     backward: Float[Array, ""]
-    through: bool | None = eqx.field(static=True, default=None)
+    through: bool | None = eqx.field(static=True)
 
     def radiance(
         self, rays: Rays, t_max: Float[Array, " ray"], behind: Float[Array, "ray node"], route: Any = None
@@ -123,24 +123,21 @@ class Scattered(AbstractMedium):
 
     def settled(self) -> Scattered:
         """The same of known values, with what they decide about programs."""
-        return dataclasses.replace(self, through=bool(np.asarray(self._misreads)))
+        return self if self.through is not None else dataclasses.replace(self, through=bool(np.asarray(self._misreads)))
 
     @property
     def _misreads(self) -> Bool[Array, ""]:
         """Whether depths towards a source err by more than `MISREAD` where they are read between points."""
-        every = [beam.misread > MISREAD for part in self.parts for beam in part.beams]
-        return jnp.any(jnp.stack(every or [jnp.asarray(False)]))
+        return jnp.any(jnp.stack([beam.misread > MISREAD for part in self.parts for beam in part.beams]))
 
     def _with_beams(self, found: Callable[[bool], T]) -> T:
         """What is `found` with beams through the medium, or else by depths that are read.
 
         Decided for all rays: in the loop along them a search through the medium would keep it from native code.
         """
-        sampled = self.parts[0].doubt is None  # then `lacking` speaks of beams that are read
-        through = False if sampled else self.through
-        if through is None:
+        if self.through is None:
             return lax.cond(self._misreads, lambda: found(True), lambda: found(False))
-        return found(through)
+        return found(self.through)
 
     @property
     def nodes(self) -> int:

@@ -137,7 +137,8 @@ def finished(given: Posed, ordinates: DiscreteOrdinates, solutions: Solution) ->
     step = jnp.max(jnp.stack([_step(*x) for x in zip(parts, lattices, strict=True)]))
     backward = jnp.max(jnp.stack([own.beyond for own in given.moments]))
     told = lax.stop_gradient((jnp.max(solutions.residual[:, 0]), step, backward))
-    return Scattered(given.given if errs else given.medium, held, order, *told)
+    through = None if any(given.beams) and not errs else False
+    return Scattered(given.given if errs else given.medium, held, order, *told, through)
 
 
 def _alike(light: list[Array], albedo: list[Array], lattices: list[Lattice]) -> Float[Array, "point node"]:
