@@ -33,10 +33,12 @@ import jax
 import numpy as np
 from jax.experimental import serialize_executable
 
+from jaxir._arrays import as_float
 from jaxir._cache import compiled_anew, keep, keeps, kept
 from jaxir._room import crowded, program_made
 
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
 _VERSIONED = ("jax", "jaxlib", "equinox", "numpy", "lineax", "optimistix")  # what traces, beside the package's own code
 _NAMED = ("jaxir", "builtins", *_VERSIONED)
 _PLAINLY = ("jax_debug_nans", "jax_debug_infs", "jax_disable_jit", "jax_check_tracer_leaks", "jax_default_device")
@@ -84,6 +86,7 @@ class _Program:
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if crowded():
             drop_all()
+        args, kwargs = _values((args, kwargs))
         return self._run(*self._found(args, kwargs), args, kwargs)
 
     def _run(self, ready: _Ready | None, arrays: list[Any], signature: Any, args: tuple, kwargs: dict) -> Any:
@@ -118,6 +121,7 @@ class _Program:
 
     def of_items(self, inputs: Any) -> Callable[[Any], Any]:
         """See `of_items`."""
+        inputs = _values(inputs)
         known: list[tuple[_Ready | None, list[Any]]] = []  # the executable and the arrays of `inputs`, once found
 
         def of(item: Any) -> Any:
@@ -237,6 +241,33 @@ def _key(function: Callable[..., Any], structure: jax.tree_util.PyTreeDef, signa
     leaves = [_static(kind if len(kind) > 2 else kind[1]) for kind in kinds]
     words = [function.__module__, function.__qualname__, _form(structure), *leaves, state, *versions, *flags]
     return "\n".join(["program", *words])
+
+
+def _values(inputs: T) -> T:
+    """The same with numbers of Python and arrays of weak types, set into fields, as arrays like those that were there.
+
+    Else each such number, and each other set of fields that are weak, would compile a program of its own.
+    """
+    leaves = jax.tree.leaves(inputs)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves) or not any(map(_is_loose, leaves)):
+        return inputs
+
+    def firm(part: Any) -> Any:
+        return jax.tree.map(lambda leaf: _firm(leaf) if _is_loose(leaf) else leaf, part) if _is_module(part) else part
+
+    return jax.tree.map(firm, inputs, is_leaf=_is_module)
+
+
+def _is_module(part: Any) -> bool:
+    return isinstance(part, eqx.Module)
+
+
+def _is_loose(leaf: Any) -> bool:
+    return type(leaf) in (int, float) or getattr(leaf, "weak_type", False)
+
+
+def _firm(leaf: Any) -> jax.Array:
+    return jax.device_put(np.asarray(leaf)) if eqx.is_array(leaf) else as_float(leaf)
 
 
 def _settings() -> tuple:

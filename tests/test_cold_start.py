@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +16,7 @@ from jax import monitoring
 import jaxir
 from jaxir import MWIR, _cache
 from jaxir._cache import _SUFFIX
+from jaxir._programs import program
 from jaxir.scene import _resolution
 
 ROOT = Path(__file__).parent.parent
@@ -64,6 +66,23 @@ def test_no_program_is_compiled_twice_for_one_structure(quantity, transformation
     second = found(jnp.asarray([0.7, 800.0]))
     assert not COMPILED
     assert all(np.any(a != b) for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True))
+
+
+def test_numbers_set_into_fields_compile_nothing():
+    hot = jaxir.Lambert(0.5)
+
+    @program
+    def doubled(surface):
+        return 2 * surface.emissivity
+
+    def of(value):
+        return doubled(eqx.tree_at(lambda surface: surface.emissivity, hot, value))
+
+    values = [0.25, 1, jnp.asarray(0.75), np.float64(0.5), np.float32(0.125)]
+    assert of(jnp.float32(0.5)) == 1
+    del COMPILED[:]
+    assert [float(of(value)) for value in values] == [0.5, 2.0, 1.5, 1.0, 0.25]
+    assert not COMPILED
 
 
 def test_other_numbers_of_views_compile_nothing():
@@ -130,6 +149,7 @@ IMAGE = """
 print(jaxir.render(jaxir.Scene(scene((0.8, 900.0)).skin), CAMERA, MWIR).radiant_intensity())
 """
 TRACED = """
+import equinox as eqx
 import jax
 from jax import monitoring
 seen = []
