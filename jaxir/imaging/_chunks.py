@@ -30,6 +30,7 @@ from jaxir.transport import (
     evaluate_components,
     evaluate_orders,
     lattice_error,
+    lattice_lacks,
     share_outside,
     solution_checks,
     trace,
@@ -97,7 +98,7 @@ class Pass(NamedTuple):
         method: how radiance is found.
         parts: of `parts_for`.
         components: by which radiance is split; None for none.
-        lacking: of `lacking_in`.
+        lacking: of `lattice_error`; None where nothing was solved for.
     """
 
     lit: Lit
@@ -121,7 +122,8 @@ class Pass(NamedTuple):
 
     def seeing(self, lit: Lit) -> Pass:
         """The same of a scene with its scattered light."""
-        return self._replace(lit=aimed(lit, self.camera), lacking=lacking_in(lit, self.camera.undivided()))
+        lacks = lattice_lacks(lit.in_vacuum(), self.camera.undivided())
+        return self._replace(lit=aimed(lit, self.camera), lacking=lattice_error(lit, lacks))
 
     @property
     def strata_at_once(self) -> int:
@@ -222,12 +224,6 @@ def scattered_for(taken: Pass, method: Method) -> Pass:
     if lit is taken.lit:  # nothing is found so, or was before
         return taken._replace(method=method)
     return taken._replace(method=method).seeing(enforce(lit, solution_checks(lit)))
-
-
-@program
-def lacking_in(lit: Lit, frame: Camera) -> Array | None:
-    """`lattice_error` in a frame, before it is aimed at: a program that images and tables of a scene share."""
-    return lattice_error(aimed(lit, frame), frame)
 
 
 def as_number(number: int) -> Array:

@@ -25,7 +25,6 @@ from jaxir.imaging._chunks import (
     estimate_chunk,
     eye_outside,
     image_of_all,
-    lacking_in,
     parts_for,
 )
 from jaxir.imaging._devices import shared_by, stacked
@@ -42,6 +41,8 @@ from jaxir.transport import (
     aimed,
     components_of,
     graded_cameras,
+    lattice_error,
+    lattice_lacks,
     solution_checks,
     with_own_media,
     with_scattered,
@@ -144,7 +145,7 @@ class Look(NamedTuple):
         view: number of the view.
         number: of the look at it.
         camera: the eye.
-        lacking: of `lacking_in`.
+        lacking: of `lattice_error`; None where nothing was solved for.
     """
 
     view: Array | np.ndarray
@@ -161,7 +162,7 @@ class Views(NamedTuple):
         cameras: of all views [view].
         aspect: azimuth and elevation [view, 2] [deg].
         left: share that bounces leave out [band], where the method was chosen, else None.
-        lacking: of `lacking_in` [view, band].
+        lacking: of `lattice_error` [view, band]; None where nothing was solved for.
     """
 
     shared: Shared
@@ -321,7 +322,8 @@ def prepare_views(
     lit = with_scattered(bare, method)
     if lit is not bare:
         lit = enforce(lit, solution_checks(lit))
-        lacking = stacked(lacking_in, lit, jax.vmap(Camera.undivided)(cameras), "lattice")
+        lacks = stacked(lattice_lacks, lit.in_vacuum(), jax.vmap(Camera.undivided)(cameras), "lattice")
+        lacking = lattice_error(lit, lacks)
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
     strata = division(samples, not is_traced((lit, cameras, key)))
     return Views(Shared(lit, key, strata, method, split), cameras, aspect, left, lacking)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -276,6 +277,13 @@ class Lit(eqx.Module):
     def empty(self, direction: Float[Array, "*batch 3"]) -> Float[Array, "*batch node"]:
         """What the sensor sees where the scene is not: the background through the air [*batch, node] [W m-2 sr-1]."""
         return self.through_air(self.background(direction))
+
+    def in_vacuum(self) -> Lit:
+        """The same without the air, and with no band told: programs of what asks for neither serve all of them."""
+        response = jnp.zeros_like(self.nodes.response[:1])
+        nodes = dataclasses.replace(self.nodes, response=response, names=("any",), error=None)
+        scene = eqx.tree_at(lambda s: s.atmosphere, self.scene, None, is_leaf=lambda x: x is None)
+        return Lit(scene, nodes, self.blackbody, self.medium, None, self.beams)
 
     def without_plumes(self) -> Lit:
         """The same scene without its plumes, for rays that meet none."""

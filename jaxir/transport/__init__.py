@@ -42,4 +42,5 @@ from jaxir.transport.evaluation import unaimed as unaimed
 from jaxir.transport.evaluation import unoccluded_radiance as unoccluded_radiance
 from jaxir.transport.evaluation import with_scattered as with_scattered
 from jaxir.transport.ordinates import lattice_error as lattice_error
+from jaxir.transport.ordinates import lattice_lacks as lattice_lacks
 from jaxir.transport.ordinates import solution_checks as solution_checks

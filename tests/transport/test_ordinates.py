@@ -16,9 +16,8 @@ import jaxir
 from jaxir import DiscreteOrdinates, Method
 from jaxir._arrays import as_float
 from jaxir.geometry import Eye, degrees, harmonics, sphere_rule
-from jaxir.imaging._chunks import lacking_in
 from jaxir.optics.spectrum import gray_nodes
-from jaxir.transport import aimed, with_scattered
+from jaxir.transport import aimed, lattice_error, lattice_lacks, with_scattered
 from jaxir.transport.evaluation import _scattered
 from jaxir.transport.ordinates._lattice import places
 from jaxir.transport.ordinates._medium import chosen_rays
@@ -270,7 +269,7 @@ def test_what_a_lattice_errs_in_cells_in_the_sun_is_told():
 @eqx.filter_jit
 def lacking(lit, rays):
     eye = Eye(jnp.zeros(3), -rays.direction[0], jnp.zeros(()))  # which they share
-    return lit.medium.lacking(rays, eye, 0)
+    return lit.medium.aimed_at(eye).lacking(rays, 0)
 
 
 @eqx.filter_jit
@@ -464,7 +463,8 @@ def test_two_plumes_in_one_place_lack_what_one_does():
     told = []
     for plumes in ((whole, clear), (half, half)):
         lit = with_scattered(jaxir.Scene(None, plumes).on(gray_nodes((jaxir.MWIR,))), COARSE)
-        told.append(float(lacking_in(lit, jaxir.fitted_camera(90.0, 0.0, lit.scene.extent(), (1, 1)))[0]))
+        frame = jaxir.fitted_camera(90.0, 0.0, lit.scene.extent(), (1, 1))
+        told.append(float(lattice_error(lit, lattice_lacks(lit.in_vacuum(), frame))[0]))
     assert told[0] > 0
     np.testing.assert_allclose(told[1], told[0], rtol=0.25)
 
@@ -540,7 +540,7 @@ def test_images_have_no_noise_of_it_and_tell_what_is_left():
 def plume_intensity(lit, camera, start):
     """Of the rays on which the lattice's error is found."""
     rays, weight = chosen_rays(lit.medium.parts[0], camera, start)
-    return weight @ lit.nodes.in_band(lit.medium.lacking(rays, camera.eye, 0)[0])
+    return weight @ lit.nodes.in_band(lit.medium.aimed_at(camera.eye).lacking(rays, 0)[0])
 
 
 @optimised

@@ -33,12 +33,10 @@ def with_scattered(lit: Lit, method: Method) -> Lit:
     """
     if method.scattering is None or lit.medium is None or not lit.medium.scatters:
         return lit
-    nodes = dataclasses.replace(lit.nodes, response=jnp.zeros_like(lit.nodes.response[:1]), names=("any",), error=None)
-    scene = eqx.tree_at(lambda s: s.atmosphere, lit.scene, None, is_leaf=lambda x: x is None)
-    bare = Lit(scene, nodes, lit.blackbody, lit.medium, None, lit.beams)
+    bare = lit.in_vacuum()
     ordinates = dataclasses.replace(method.scattering, orders=min(method.scattering.orders, 1))  # however many more
     once = dataclasses.replace(method, bounces=0, scattering=ordinates, skin_light=None, plume_light=None)
-    once = once.resolved(scene)
+    once = once.resolved(bare.scene)
     return eqx.tree_at(lambda lit: lit.medium, lit, _remembered((bare, once)))
 
 

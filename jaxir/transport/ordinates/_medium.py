@@ -144,16 +144,15 @@ class Scattered(AbstractMedium):
         """How many spectral nodes there are."""
         return self.parts[0].moments.shape[2]
 
-    def lacking(self, rays: Rays, eye: Eye, place: int) -> tuple[Float[Array, "ray node"], ...]:
-        """What rays of an eye, of that at which it is aimed if it is, see of one of the parts, and what that may lack.
+    def lacking(self, rays: Rays, place: int) -> tuple[Float[Array, "ray node"], ...]:
+        """What rays of the eye at which it is aimed see of one of the parts, and what that may lack.
 
         Radiances [ray, node]: those of `Told` summed along rays, with what all parts emit, and `SLOW` times what
         changes as every piece of a ray is halved. Where what the lattice errs is sampled, that is all of it.
         """
         cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
-        ready = self if self.parts[0].aimed is not None else self.aimed_at(eye)
-        part = ready.parts[place]
+        part = self.parts[place]
 
         def told(point: Array, through: bool) -> tuple[Array, list[Array]]:
             extinction, emission = self.medium.coefficients(point)
@@ -163,11 +162,11 @@ class Scattered(AbstractMedium):
         halved = jnp.stack([cuts[:, :-1], (cuts[:, :-1] + cuts[:, 1:]) / 2], axis=2).reshape(rays.count, -1)
         halved = jnp.concatenate([halved, cuts[:, -1:]], axis=1)
         if self.parts[0].doubt is None:
-            whole = ready._between(halved, rays, dark, place)
+            whole = self._between(halved, rays, dark, place)
             found = Told(whole, whole, dark, dark)
         else:
             found = Told(*self._with_beams(lambda through: summed(halved, rays, partial(told, through=through))))
-        return *found, SLOW * jnp.abs(found.whole - ready._between(cuts, rays, dark, place))
+        return *found, SLOW * jnp.abs(found.whole - self._between(cuts, rays, dark, place))
 
     def expected(
         self, point: Float[Array, "ray 3"], along: Float[Array, "ray 3"], omega: Float[Array, "ray 3"]
@@ -306,18 +305,26 @@ def chosen_rays(part: Part, camera: Camera, start: Float[Array, ""]) -> tuple[Ra
     return chosen, weight[taken] * below[-1] / (CHOSEN * share[taken])
 
 
-def lattice_error(lit: Lit, camera: Camera) -> Float[Array, " band"] | None:
-    """What the lattice lacks of the intensity of plumes in a camera's image [band] [W sr-1].
+@program
+def lattice_lacks(bare: Lit, camera: Camera) -> Float[Array, "part kind node"]:
+    """What `Scattered.lacking` sees of each plume, summed over a camera's image.
 
-    It is what `Scattered.lacking` sees from there of each plume, and what changed from fewer harmonics to those there
-    are, through the air. None where nothing was solved for. Skin in front of plumes is not looked for.
+    Of a scene `Lit.in_vacuum`, before it is aimed at: a program that images and tables share, through any air and in
+    any bands. Skin in front of plumes is not looked for.
     """
-    if not isinstance(lit.medium, Scattered):
-        return None
-    total = jnp.zeros(lit.nodes.response.shape[0], camera.pixel.dtype)
-    for place, part in enumerate(lit.medium.parts):
-        rays, weight = chosen_rays(part, camera, lit.scene.start(camera))
-        found = jnp.stack([matmul(weight, radiance) for radiance in lit.medium.lacking(rays, camera.eye, place)])
-        whole, rough, reading, beams, pieces = lit.nodes.in_band(lit.dimmed_by_air(found))
-        total = total + reading + jnp.abs(beams) + pieces + jnp.abs(whole - rough)
-    return total
+    assert isinstance(bare.medium, Scattered)
+    medium, found = bare.medium.aimed_at(camera.eye), []
+    for place, part in enumerate(medium.parts):
+        rays, weight = chosen_rays(part, camera, bare.scene.start(camera))
+        found.append(jnp.stack([matmul(weight, radiance) for radiance in medium.lacking(rays, place)]))
+    return jnp.stack(found)
+
+
+@program
+def lattice_error(lit: Lit, lacks: Float[Array, "*view part kind node"]) -> Float[Array, "*view band"]:
+    """What the lattice lacks of the intensity of plumes in an image [band] [W sr-1].
+
+    It is what `lattice_lacks` found, and what changed from fewer harmonics to those there are, through the air.
+    """
+    whole, rough, reading, beams, pieces = jnp.moveaxis(lit.nodes.in_band(lit.dimmed_by_air(lacks)), -2, 0)
+    return jnp.sum(reading + jnp.abs(beams) + pieces + jnp.abs(whole - rough), axis=-2)
