@@ -10,9 +10,10 @@ sampling", J. Atmos. Sci. 65, 2008, 3917). No more of them are needed than there
 vectors of the set; those with small singular values are left out, first many, then fewer, until rays that are not in
 the set agree.
 
-The set: rays through places in the plumes, drawn half by what is hot and half evenly, to all sides and half of them
-nearly along the plumes, seen through the air from outside and without it from these places; what they show of the
-plumes, and what passes of skin, of every light and of light that is the same at all wavenumbers.
+The set: rays through places in the plumes, to all sides and nearly along them, seen through the air from outside and
+without it from these places; what they show of the plumes, and what passes of skin, of every light and of light that is
+the same at all wavenumbers; what plumes are more than the background that they hide; skin of temperatures from its
+lowest to its highest, every other of which is not in the set, through the air, and what it is more than the background.
 """
 
 from __future__ import annotations
@@ -29,27 +30,21 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
-from jaxir._math import matmul
 from jaxir._programs import program
-from jaxir.geometry import Rays
 from jaxir.optics.spectrum import Band, Nodes, as_bands, gray_nodes, padded_nodes, some_of, told_apart, with_error
+from jaxir.scene._probes import RAYS, behind, brought, draws, from_outside, through, warmth
 from jaxir.scene._resolution import (
+    GRAIN,
     KEPT,
-    about_plumes,
-    brought,
     finest_nodes,
     kept_choice,
     scene_nodes,
     spectral,
-    warmth,
     with_few_cells,
 )
 from jaxir.scene._scene import Scene, on_nodes
 
 TOLERANCES = tuple(10.0 ** (-k / 4) for k in range(5, 21))  # singular values left out, as shares of the largest
-RAYS = 144  # through each plume; every third is not in the set
-HOT = 6.0  # power of the temperature by which places are drawn, about that of what is emitted at 3 to 5 um
-ALONG = 0.15  # 1 - cos of the directions about a plume's axis that half of the rays have, at most
 INSIDE = 0.3  # of an error of light inside the scene counts: of what is seen, that light is a part
 FAINT = 1e-3  # of the brightest spectrum of a kind: fainter ones do not count
 BLOCK = 256  # spectra whose singular vectors are found at a time
@@ -133,7 +128,7 @@ def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, ask
     fine = finest_nodes(bands)
 
     def found() -> list[Any]:
-        spectra = [_spectra(with_few_cells(scene), fine, as_float(_draws())) for scene in scenes]
+        spectra = [_spectra(with_few_cells(scene), fine, as_float(draws())) for scene in scenes]
         return [each.tolist() for each in _chosen(spectra, fine, rtol)]
 
     place, factor, error = kept_choice("optimal nodes", asked, found)
@@ -148,17 +143,14 @@ def _taken(fine: Nodes, place: np.ndarray, factor: np.ndarray, error: np.ndarray
     return with_error(dataclasses.replace(some_of(fine, place), weight=weight), error)
 
 
-def _draws() -> np.ndarray:
-    """Even numbers in [0, 1) [ray, 6]: multiples of powers of the root of x^7 = x + 1 (Roberts 2018)."""
-    root = 1.0
-    for _ in range(64):
-        root = (1 + root) ** (1 / 7)
-    return ((np.arange(RAYS)[:, None] + 1) * root ** -(1.0 + np.arange(6))) % 1
-
-
 class Spectra(eqx.Module):
-    """What may be seen of a scene: without plumes, and along rays from outside, through the air, and from inside."""
+    """What may be seen of a scene, without plumes and along rays from outside through the air, and from inside.
 
+    Without plumes: skin from its lowest to its highest temperature [warm], the background, and lights.
+    """
+
+    warm: Float[Array, "warm node"]
+    around: Float[Array, "around node"]
     fixed: Float[Array, "spectrum node"]
     outside: Float[Array, "kind ray node"]
     inside: Float[Array, "kind ray node"]
@@ -168,43 +160,30 @@ class Spectra(eqx.Module):
 def _spectra(scene: Scene, nodes: Nodes, draws: Float[Array, "ray 6"]) -> Spectra:
     lit = on_nodes(scene, nodes)
     flat = (nodes.upper - nodes.lower)[None]
-    warm = [] if scene.skin is None else [warmth(scene.skin, nodes)]
-    around = () if lit.scene.background is None else (lit.scene.background,)
-    behind = jnp.concatenate([flat, *warm, *brought((*lit.scene.sources, *around), nodes)])
-    seen = [behind, lit.dimmed_by_air(behind), lit.through_air(jnp.zeros_like(flat))]
+    warm = flat[:0] if scene.skin is None else warmth(scene.skin, nodes)
+    sky = () if lit.scene.background is None else (lit.scene.background,)
+    around = jnp.concatenate([flat[:0], *brought(sky, nodes)])
+    others = jnp.concatenate([flat, behind(warm), *brought(lit.scene.sources, nodes), around])
+    fixed = jnp.concatenate([warm, others, lit.dimmed_by_air(others), lit.through_air(jnp.zeros_like(flat))])
+    known = lit.dimmed_by_air(warm), lit.dimmed_by_air(around), fixed
     if lit.medium is None:
         none = jnp.zeros((0, RAYS, nodes.count), flat.dtype)
-        return Spectra(jnp.concatenate(seen), none, none)
-    each = [_through(scene, k, draws) for k in range(len(scene.plumes))]
-    inside = jax.tree.map(lambda *all: jnp.concatenate(all), *each)
-    corners = scene.extent()
-    away = jnp.sqrt(jnp.sum((corners.max(axis=0) - corners.min(axis=0)) ** 2))
-    outside = Rays(inside.origin - away * inside.direction, inside.direction)
-    rays = jax.tree.map(lambda *both: jnp.concatenate(both), outside, inside)
+        return Spectra(*known, none, none)
+    inside = through(scene, draws)
+    rays = jax.tree.map(lambda *both: jnp.concatenate(both), from_outside(scene, inside), inside)
     far, dark = jnp.full(rays.count, jnp.inf, flat.dtype), jnp.zeros((rays.count, nodes.count), flat.dtype)
     passed = lit.medium.transmittance(rays, far)
-    along = jnp.stack([lit.medium.radiance(rays, far, dark), *(passed * own[None] for own in behind)])
-    return Spectra(jnp.concatenate(seen), lit.dimmed_by_air(along[:, : outside.count]), along[:, outside.count :])
-
-
-def _through(scene: Scene, plume: int, draws: Float[Array, "ray 6"]) -> Rays:
-    """Rays that begin inside a plume."""
-    pieces = scene.plumes[plume].pieces(as_float(HOT))
-    share = pieces.power / jnp.sum(pieces.power) + 1 / pieces.power.size
-    place = jnp.searchsorted(jnp.cumsum(share), draws[:, 0] * jnp.sum(share))
-    place = jnp.minimum(place, pieces.power.size - 1)
-    local = pieces.centre[:, place] + (2 * draws[:, 1:4].T - 1) * pieces.half[:, place]
-    cosine = 2 * draws[:, 4] - 1
-    axial = jnp.sign(cosine) * (1 - ALONG * cosine**2)
-    cosine = jnp.where(np.arange(RAYS) % 2 == 0, cosine, axial)
-    turn, sine = 2 * np.pi * draws[:, 5], jnp.sqrt(jnp.maximum(1 - cosine**2, 0))
-    direction = jnp.stack([sine * jnp.cos(turn), sine * jnp.sin(turn), cosine], axis=1)
-    return Rays(matmul(local.T, pieces.frame), matmul(direction, about_plumes(scene)))
+    along = jnp.stack([lit.medium.radiance(rays, far, dark), *(passed * own[None] for own in others)])
+    seen = along[:, : inside.count]
+    if sky:
+        hidden = (1 - passed[: inside.count]) * around.mean(axis=0)[None]
+        seen = jnp.concatenate([seen, (seen[0] - hidden)[None]])
+    return Spectra(*known, lit.dimmed_by_air(seen), along[:, inside.count :])
 
 
 def _chosen(spectra: Sequence[Spectra], fine: Nodes, rtol: float) -> Chosen:
     """Which nodes, with which factors, and what they err [band], at most `rtol` if the set allows it."""
-    known = np.arange(RAYS) % 3 != 2  # of each plume
+    known = np.arange(RAYS) % 3 != 2  # of each plume; every third is not in the set
     share = np.asarray(fine.response, np.float64) * np.asarray(fine.weight, np.float64)
     used = [own > 0 for own in share]
     own, others = [], []
@@ -230,21 +209,28 @@ def _chosen(spectra: Sequence[Spectra], fine: Nodes, rtol: float) -> Chosen:
 
 def _of_band(seen: Spectra, known: np.ndarray, share: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Shares that nodes of a band have in radiances [spectrum, node]: in those of the set, and in those to agree."""
-    fixed, outside, inside = (
-        np.asarray(x, np.float64)[..., some] * share[some] for x in (seen.fixed, seen.outside, seen.inside)
-    )
+    in_band = jax.tree.map(lambda x: np.asarray(x, np.float64)[..., some] * share[some], seen)
+    warm, around, fixed, outside, inside = jax.tree.leaves(in_band)
     known = np.resize(known, outside.shape[1])
-    own, others = [_normal(fixed)], [_normal(fixed)]
+    own = [_normal(rows) for rows in (fixed, warm[::2], _contrasts(warm[::2], around))]  # those between have to agree
+    others = [_normal(rows) for rows in (fixed, warm, _contrasts(warm, around))]
     for kinds, counts in ((outside, 1.0), (inside, INSIDE)):
         for kind in kinds:
-            total = kind[~known].sum(axis=1)
+            total = np.abs(kind[~known]).sum(axis=1)
             own.append(counts * _normal(kind[known]))
             others.append(counts * _normal(kind[~known][total > FAINT * total.max()]))
     return np.concatenate(own), np.concatenate(others)
 
 
+def _contrasts(warm: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """What skin and the background are more or less than the background, where that is more than rounding."""
+    each = np.concatenate([warm, around])[:, None] - around[None]
+    some = np.abs(each).sum(axis=2) > GRAIN * around.sum(axis=1)
+    return each[some]
+
+
 def _normal(rows: np.ndarray) -> np.ndarray:
-    total = rows.sum(axis=1)
+    total = np.abs(rows).sum(axis=1)
     return rows[total > 0] / total[total > 0, None]
 
 

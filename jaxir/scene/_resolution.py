@@ -14,25 +14,21 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
 from jaxir._cache import keep, kept
-from jaxir._math import frame_around, matmul
 from jaxir._programs import program
-from jaxir.geometry import Rays
 from jaxir.optics.spectrum import (
     RESOLUTIONS,
     Band,
     Nodes,
     Resolution,
     as_bands,
-    band_radiance,
     finer_nodes,
     gray_nodes,
     padded_nodes,
     resolved_nodes,
     with_error,
 )
-from jaxir.scene._scene import Lit, Scene, on_nodes
-from jaxir.scene._skin import Skin
-from jaxir.scene.light import AbstractLight, area_sources, backgrounds, delta_sources
+from jaxir.scene._probes import ACROSS, RAYS, across, behind, brought, draws, from_outside, through, warmth
+from jaxir.scene._scene import Scene, on_nodes
 
 RTOL = 0.02  # of the in-band results of probing rays, against the finest nodes
 *TRIED, FINEST = RESOLUTIONS  # the finest, of 12 quantiles, is what others are compared with
@@ -40,8 +36,7 @@ FEW_BINS = 12  # of which the means of few quantiles err too much, and many cost
 *MORE, FINER = Resolution(50.0, 16, 10), Resolution(50.0, 32, 12)  # tried for so few, and what they are compared with
 UNKNOWN = RESOLUTIONS[4]  # where the scene's values are not known yet
 KEPT = 32  # choices
-_ACROSS = 6  # rows and columns of probing rays in each direction
-_DIRECTIONS = np.array([[1.0, 0.0, 0.0], [0.6, 0.0, 0.8], [0.0, 0.28, 0.96], [0.12, 0.09, 0.98868]])  # z along plumes
+GRAIN = 1e-4  # of a background that a difference from it errs by rounding, with room
 
 
 def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
@@ -49,9 +44,10 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
 
     Nodes are taken as they are. Bands become one gray node each where neither their response nor anything in the scene
     depends on the wavenumber inside them (`Physical.has_spectrum`). Else they become the fewest of `RESOLUTIONS` with
-    which 36 rays in each of four directions through the plumes, from across to nearly along them, before darkness and
-    before the skin's mean and highest temperature, through the air, give every band's mean radiance within `RTOL` of
-    that on the finest; `Nodes.error` keeps what they err. Bands of at most `FEW_BINS` bins are compared with nodes of
+    which all that is seen is within `RTOL` of that on the finest, through the air: the mean radiance of 36 rays
+    each in four directions through every plume, from across to nearly along it, and four times through what is hot in
+    it, before darkness and before skin; skin from its lowest to its highest temperature; lights; and what contrasts
+    with the background. `Nodes.error` keeps what they err. Bands of at most `FEW_BINS` bins are compared with nodes of
     32 quantiles.
     All candidates are tried by one program: coarser ones are padded with nodes of weight 0. A grid of more than some
     thousand cells is probed on every few of them.
@@ -155,8 +151,8 @@ def _results(scene: Scene, nodes: Nodes, count: int) -> np.ndarray:
 
 
 def _apart(results: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Largest difference of all results, relative to the others [band]."""
-    return np.max(np.abs(results - others) / np.where(np.abs(others) > 0, np.abs(others), 1), axis=0)
+    """Largest difference of all results, as a share of the others' sizes [band]."""
+    return np.max(np.abs(results[0] - others[0]) / np.where(others[1] > 0, others[1], 1), axis=0)
 
 
 def _candidates(bands: tuple[Band, ...]) -> list[Nodes]:
@@ -194,61 +190,47 @@ def _value(leaf: Array) -> Array:
 
 
 @program
-def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "result band"]:
-    """In-band radiance, means of the probing rays of a direction, of what lies behind them, and of the skin alone."""
+def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "2 result band"]:
+    """In-band radiances that may be seen of a scene, and what their errors are shares of: they may be differences.
+
+    Means of rays through each plume in like directions, evenly spread and through what is hot, before darkness, before
+    skin and less the background; skin, and skin less the background; lights.
+    """
     lit = on_nodes(scene, nodes)
     dark = jnp.zeros((1, nodes.count), nodes.weight.dtype)
-    behind, lights = dark, _lights(scene, lit)
-    if scene.skin is not None:
-        behind = jnp.concatenate([dark, warmth(scene.skin, nodes)])
-    if lit.medium is None:
-        return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([behind[1:] if len(behind) > 1 else behind, *lights])))
-    frame = about_plumes(scene)
-    corners = matmul(scene.extent(), frame.T)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    place = (np.indices((_ACROSS, _ACROSS)).reshape(2, -1).T + 0.5) / _ACROSS
-    through = np.full((len(_DIRECTIONS), len(place), 3), 0.5)
-    for own, toward in zip(through, _DIRECTIONS, strict=True):
-        own[:, np.arange(3) != np.argmax(np.abs(toward))] = place
-    direction = as_float(np.repeat(np.asarray(_DIRECTIONS), len(place), axis=0))
-    back = jnp.sqrt(jnp.sum((high - low) ** 2))
-    origin = low[None] + as_float(through.reshape(-1, 3)) * (high - low)[None] - back * direction
-    rays = Rays(matmul(origin, frame), matmul(direction, frame))
-    far = jnp.full(rays.count, jnp.inf, low.dtype)
-    unlit = jnp.broadcast_to(dark, (rays.count, nodes.count))
-    each = (lit.medium.transmittance(rays, far), lit.medium.radiance(rays, far, unlit))
-    passed, shine = (x.reshape(len(_DIRECTIONS), -1, nodes.count).mean(axis=1)[:, None] for x in each)
-    seen = (shine + passed * behind[None]).reshape(-1, nodes.count)
-    return nodes.in_band(lit.dimmed_by_air(jnp.concatenate([*lights, seen])))
+    warm = dark if scene.skin is None else warmth(scene.skin, nodes)
+    around = () if lit.scene.background is None else (lit.scene.background,)
+    sky = jnp.concatenate(brought(around, nodes) or [dark])
+    lights = tuple(own for given, own in zip(scene.sources, lit.scene.sources, strict=True) if given.has_spectrum)
+    seen = [warm, *brought(lights, nodes)]
+    if scene.background is not None and scene.background.has_spectrum:
+        seen.append(sky)
+    less = [_each_less(warm, sky)] if around and scene.skin is not None else []
+    if lit.medium is not None:
+        even, hot = across(scene), from_outside(scene, through(scene, as_float(draws())))
+        rays = jax.tree.map(lambda *both: jnp.concatenate(both), even, hot)
+        far = jnp.full(rays.count, jnp.inf, dark.dtype)
+        unlit = jnp.broadcast_to(dark, (rays.count, nodes.count))
+        each = lit.medium.transmittance(rays, far), lit.medium.radiance(rays, far, unlit)
+        passed, shine = (_means(x, even.count)[:, None] for x in each)
+        seen.append((shine + passed * jnp.concatenate([dark, behind(warm)])[None]).reshape(-1, nodes.count))
+        if around:
+            hidden = (1 - passed) * sky.mean(axis=0)[None, None]
+            less.append(jnp.stack([shine - hidden, hidden]).reshape(2, -1, nodes.count))
+    positive = jnp.concatenate(seen)
+    values = jnp.concatenate([positive, *(x[0] for x in less)])
+    sizes = jnp.concatenate([positive, *(jnp.abs(x[0]) + GRAIN * x[1] for x in less)])
+    return nodes.in_band(lit.dimmed_by_air(jnp.stack([values, sizes])))
 
 
-def about_plumes(scene: Scene) -> Float[Array, "3 3"]:
-    """Unit vectors as rows, the last along the plumes: that in which their corners are farthest apart."""
-    corners = jnp.concatenate([plume.extent() for plume in scene.plumes])
-    apart = corners - corners.mean(axis=0, keepdims=True)
-    spread = matmul(apart.T, apart)
-    for _ in range(6):  # of its powers the largest direction is left
-        spread = spread / jnp.trace(spread)
-        spread = matmul(spread, spread)
-    axis = spread[jnp.argmax(jnp.diagonal(spread))]
-    return frame_around(axis / jnp.sqrt(jnp.sum(axis**2)))
+def _means(of_rays: Float[Array, "ray node"], even: int) -> Float[Array, "direction node"]:
+    """Of rays in like directions, of which those evenly spread come first; of the others every fourth are alike."""
+    nodes, few = of_rays.shape[1], ACROSS**2
+    first, others = of_rays[:even].reshape(-1, few, nodes), of_rays[even:].reshape(-1, few, RAYS // few, nodes)
+    return jnp.concatenate([first.mean(axis=1), others.mean(axis=1).reshape(-1, nodes)])
 
 
-def warmth(skin: Skin, nodes: Nodes) -> Float[Array, "2 node"]:
-    """Blackbodies as warm as skin in the mean and where it is warmest."""
-    warm = jnp.stack([skin.temperature.mean(), skin.temperature.max()])
-    return jax.vmap(lambda t: band_radiance(t, nodes))(warm)
-
-
-def _lights(scene: Scene, lit: Lit) -> list[Float[Array, "_light node"]]:
-    """What lights bring of those that depend on the wavenumber in a band."""
-    behind = [(scene.background, lit.scene.background)] if scene.background is not None else []
-    both: list[Any] = [*zip(scene.sources, lit.scene.sources, strict=True), *behind]
-    return brought(tuple(own for given, own in both if given.has_spectrum), lit.nodes)
-
-
-def brought(lights: tuple[AbstractLight, ...], nodes: Nodes) -> list[Float[Array, "_light node"]]:
-    """What lights on the nodes bring from above, from below and from the side."""
-    omega = jnp.asarray([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], nodes.weight.dtype)
-    found = [source.beam(omega[0])[None] for source in delta_sources(lights)]
-    return found + [light.arriving(omega) for light in (*area_sources(lights), *backgrounds(lights))]
+def _each_less(warm: Float[Array, "warm node"], sky: Float[Array, "sky node"]) -> Float[Array, "2 result node"]:
+    """Every one less every other, and the latter."""
+    both = jnp.broadcast_arrays(warm[:, None] - sky[None], sky[None])
+    return jnp.stack(both).reshape(2, -1, warm.shape[1])

@@ -1,0 +1,62 @@
+"""Nodes are tried by all that may be seen: small plumes, cold skin beside hot, differences from a background."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxir
+from jaxir.optics.spectrum import band_radiance
+from jaxir.scene import nodes_within, scene_nodes
+from tests.scenes import plate
+
+BANDS = (jaxir.MWIR, jaxir.LWIR)
+AIR = jaxir.StandardAtmosphere(0.0, 3e3, 1e4)
+NODES = {"scene": lambda scene: scene_nodes(scene, BANDS), "rtol": lambda scene: nodes_within(scene, BANDS, 0.02)}
+
+
+def through_air(kelvin, nodes):
+    """In-band radiances [temperature, band] of blackbodies through the air."""
+    warm = jax.vmap(lambda t: band_radiance(t, nodes))(jnp.asarray(kelvin))
+    return np.asarray(nodes.in_band(warm * AIR.on(nodes).transmittance[None]), np.float64)
+
+
+def fine():
+    return jaxir.resolved_nodes(BANDS, 10.0, 1, 0)
+
+
+def test_a_plume_small_beside_its_scene_takes_what_it_takes_alone():
+    """No ray met it that was spread over all of the scene, and gray nodes agreed about nothing."""
+    gas = jaxir.NarrowBandGas(101325.0, h2o=0.1, co2=0.1)
+    plume, far = (jaxir.GridPlume(jaxir.Grid((0.0, y, 5.0), (0.5, 0.5, 0.5), (2, 2, 2)), 1200.0, gas) for y in (0, 900))
+    mesh = plate().mesh
+    ground = jaxir.Skin(jaxir.Mesh(300 * np.asarray(mesh.vertices), mesh.faces), 280.0, jaxir.Lambert(0.9))
+    alone = scene_nodes(jaxir.Scene(None, plume), BANDS)
+    assert alone.count > 100
+    for scene in (jaxir.Scene(ground, plume), jaxir.Scene(None, (plume, far))):
+        nodes = scene_nodes(scene, BANDS)
+        assert nodes.count == alone.count
+        np.testing.assert_allclose(nodes.error, alone.error, rtol=0.02)
+
+
+@pytest.mark.parametrize("chosen", NODES)
+def test_skin_of_all_temperatures_errs_as_told(chosen):
+    """Nodes that fit the mean over many small hot faces erred by 20 to 30 % of the cold body."""
+    mesh = plate().mesh
+    faces = jaxir.Mesh(np.tile(mesh.vertices, (20, 1)), np.concatenate([mesh.faces + 4 * k for k in range(20)]))
+    skin = jaxir.Skin(faces, np.where(np.arange(40) < 2, 240.0, 900.0), jaxir.Lambert(0.8))
+    nodes = NODES[chosen](jaxir.Scene(skin, atmosphere=AIR))
+    kelvin = [240.0, 265.0, 300.0, 420.0, 650.0, 900.0]
+    error = np.abs(through_air(kelvin, nodes) / through_air(kelvin, fine()) - 1).max(axis=0)
+    assert nodes.count < 50 and (np.asarray(nodes.error) < 0.02).all()
+    assert (error <= np.asarray(nodes.error) + 1e-3).all()
+
+
+@pytest.mark.parametrize("chosen", NODES)
+def test_a_difference_from_the_background_errs_as_told(chosen):
+    """Of skin of 300 K before 299 K, 4 % where .1 % of it was told: it is the slope of Planck's law."""
+    skin = jaxir.Skin(plate().mesh, 300.0, jaxir.Lambert(1.0))
+    nodes = NODES[chosen](jaxir.Scene(skin, background=jaxir.BlackbodyBackground(299.0), atmosphere=AIR))
+    found, true = (np.diff(through_air([299.0, 300.0], axis), axis=0)[0] for axis in (nodes, fine()))
+    assert nodes.count < 50 and (np.asarray(nodes.error) < 0.02).all()
+    assert (np.abs(found / true - 1) <= np.asarray(nodes.error) + 2e-3).all()
