@@ -179,6 +179,31 @@ def test_brightness_temperature_inverts(precision):
     np.testing.assert_allclose(got, np.repeat(np.asarray(temperature)[:, None], 3, 1), rtol=rtol)
 
 
+def test_brightness_temperature_of_little_and_of_nothing():
+    """A pixel that sees nothing was NaN, and so were slopes of faint ones."""
+    radiance = jnp.asarray([0.0, 1e-20, 1e-3, 5.0], jnp.float32)[:, None]
+
+    def kelvin(x):
+        return brightness_temperature(x, jaxir.MWIR)
+
+    found, slope = jax.jvp(kelvin, (radiance,), (jnp.ones_like(radiance),))
+    assert found[0] == 0 and slope[0] == 0
+    assert (np.diff(found[:, 0]) > 0).all()
+    near = np.asarray(kelvin(1.01 * radiance)) - np.asarray(kelvin(0.99 * radiance))
+    np.testing.assert_allclose(slope[1:] * radiance[1:], near[1:] / 0.02, rtol=2e-3)
+    (back,) = jax.vjp(kelvin, radiance)[1](jnp.ones_like(radiance))
+    np.testing.assert_allclose(back, slope, rtol=1e-5)
+
+
+def test_what_has_no_temperature_and_no_radiance_is_refused():
+    with pytest.raises(
+        ValueError, match=r"brightness_temperature: radiance: got -1.0 at index \[1, 0\], expected .* >= 0"
+    ):
+        brightness_temperature(jnp.asarray([[1.0], [-1.0]]), jaxir.MWIR)
+    with pytest.raises(ValueError, match=r"band_radiance: temperature: got 0.0, expected .* > 0"):
+        band_radiance(jnp.zeros(()), jaxir.MWIR)
+
+
 @pytest.mark.parametrize("edges", [(5.0, 3.0), (3.0, 3.0), (0.0, 3.0), (-1.0, 2.0), (1.0, float("inf"))])
 def test_bands_with_wrong_edges_are_refused(edges):
     with pytest.raises(ValueError, match=r"Band 'x': got edges .* expected 0 < lower < upper"):

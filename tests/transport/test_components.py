@@ -81,6 +81,13 @@ def test_an_image_tells_components_and_their_contrast():
     np.testing.assert_allclose(image.component_intensity().sum(axis=0), image.radiant_intensity(), rtol=1e-5)
     np.testing.assert_allclose(image.parts.sum(axis=2), image.radiance, rtol=1e-6)
     np.testing.assert_allclose(image.parts[0, 0, :, 0], [0, 0, 0, 0, 1.5, 0.25], rtol=1e-6)  # where there is no plate
+
+    def inside(kelvin):  # jit, which does not know which parts have faces
+        made = jaxir.Scene(jaxir.Skin(mesh, kelvin, jaxir.Lambert(0.6), [0, 1], ("a", "b")), (), sun)
+        return jaxir.render(made, camera, jaxir.MWIR, samples=2, method=method, components="parts")
+
+    emitted = jax.jit(lambda kelvin: inside(kelvin).component_intensity())(500.0)[:2, 0]
+    np.testing.assert_allclose(emitted.sum(), 0.6 * float(jaxir.band_radiance(500.0, NODES)[0]), rtol=2e-5)
     with pytest.raises(ValueError, match="Image.parts: got none, expected render"):
         dataclasses.replace(image, parts=None).component_intensity()
 

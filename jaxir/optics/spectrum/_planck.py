@@ -23,9 +23,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from jaxir._arrays import as_float, as_one_program
+from jaxir._arrays import as_float, as_one_program, known, non_negative, require, thermal
 from jaxir._math import gauss_legendre, on_platform
 from jaxir.optics.spectrum._band import SECOND_RADIATION, Band, Nodes, as_nodes, wavelength_to_wavenumber
 
@@ -66,9 +66,8 @@ def spectral_radiance_wavelength(
     return spectral_radiance(wavenumber, temperature) * wavenumber / wavelength
 
 
-@as_one_program
 def band_radiance(
-    temperature: Float[Array, "*batch"], nodes: Nodes | Band | Sequence[Band]
+    temperature: Float[ArrayLike, "*batch"], nodes: Nodes | Band | Sequence[Band]
 ) -> Float[Array, "*batch node"]:
     """Blackbody radiance integrated over each node's bin; the equation is at the head of this file.
 
@@ -82,8 +81,23 @@ def band_radiance(
     Returns:
         Radiance [*batch, node] [W m-2 sr-1]; underflows to exactly 0 for x1 beyond 87 in float32.
 
+    Raises:
+        ValueError: a known temperature that is not > 0.
+
     Differentiable in temperature.
     """
+    hot = _as_array(temperature)
+    if known(hot) is not None:
+        require([thermal("band_radiance: temperature", hot)])
+    return _band_radiance(hot, nodes)
+
+
+def _as_array(value: Any) -> Array:
+    return value if isinstance(value, Array) else as_float(value)
+
+
+@as_one_program
+def _band_radiance(temperature: Array, nodes: Nodes | Band | Sequence[Band]) -> Array:
     nodes, hot = as_nodes(nodes), temperature.reshape(-1)
     radiance = on_platform(nodes, hot, cpu=_in_blocks, default=_at_once)
     return radiance.reshape(*temperature.shape, nodes.count)
@@ -219,29 +233,57 @@ def _split(value: Array) -> tuple[Array, Array]:
     return high, value - high
 
 
-@as_one_program
 def brightness_temperature(
-    radiance: Float[Array, "*batch band"], nodes: Nodes | Band | Sequence[Band]
+    radiance: Float[ArrayLike, "*batch band"], nodes: Nodes | Band | Sequence[Band]
 ) -> Float[Array, "*batch band"]:
     """Temperature of the blackbody with the same in-band radiance, by Newton's method in ln B(1/T).
 
     Args:
-        radiance: in-band radiance > 0 [*batch, band] [W m-2 sr-1].
+        radiance: in-band radiance >= 0 [*batch, band] [W m-2 sr-1].
         nodes: the bins of the bands, or bands, each of which is one.
 
     Returns:
-        Temperature [*batch, band] [K].
+        Temperature [*batch, band] [K]; 0 where nothing arrives.
 
-    Differentiable in radiance (through 12 Newton steps).
+    Raises:
+        ValueError: a known radiance that is not >= 0.
+
+    Differentiable in radiance, but where nothing arrives: there the slope, which has no limit, is given as 0.
     """
-    nodes, wanted = as_nodes(nodes), jnp.log(radiance)
+    seen = _as_array(radiance)
+    if known(seen) is not None:
+        require([non_negative("brightness_temperature: radiance", seen)])
+    return _brightness_temperature(seen, nodes)
 
-    def log_bands(inverse: Array) -> Array:
-        """Of each band at its own temperature."""
-        return jnp.log(jnp.diagonal(nodes.in_band(band_radiance(1 / inverse, nodes)), axis1=-2, axis2=-1))
+
+@as_one_program
+def _brightness_temperature(radiance: Array, nodes: Nodes | Band | Sequence[Band]) -> Array:
+    some = radiance > 0
+    inverse = _inverse_temperature(jnp.log(jnp.where(some, radiance, 1)), as_nodes(nodes))
+    return jnp.where(some, 1 / inverse, 0)
+
+
+@jax.custom_jvp
+def _inverse_temperature(wanted: Array, nodes: Nodes) -> Array:
+    """1 / T of each band at which ln B is `wanted`; d(1 / T) = d ln B / (d ln B / d(1 / T)), the nodes held."""
 
     def newton(inverse: Array, _: None) -> tuple[Array, None]:
-        value, slope = jax.jvp(log_bands, (inverse,), (jnp.ones_like(inverse),))
+        value, slope = _log_bands(inverse, nodes)
         return jnp.maximum(inverse + (wanted - value) / slope, inverse / _HOTTER), None
 
-    return 1 / lax.scan(newton, jnp.full_like(wanted, 1 / 600.0), length=12)[0]
+    return lax.scan(newton, jnp.full_like(wanted, 1 / 600.0), length=12)[0]
+
+
+@_inverse_temperature.defjvp
+def _(at: tuple[Array, Nodes], along: tuple[Array, Any]) -> tuple[Array, Array]:
+    inverse = _inverse_temperature(*at)
+    return inverse, along[0] / _log_bands(inverse, at[1])[1]
+
+
+def _log_bands(inverse: Array, nodes: Nodes) -> tuple[Array, Array]:
+    """ln B of each band at its own 1 / T, and its slope."""
+
+    def value(inverse: Array) -> Array:
+        return jnp.log(jnp.diagonal(nodes.in_band(band_radiance(1 / inverse, nodes)), axis1=-2, axis2=-1))
+
+    return jax.jvp(value, (inverse,), (jnp.ones_like(inverse),))

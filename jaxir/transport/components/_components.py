@@ -22,7 +22,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._arrays import placed
+from jaxir._arrays import on_host, placed
 from jaxir._fields import brightened
 from jaxir._programs import program
 from jaxir.medium import AbstractMedium
@@ -91,19 +91,20 @@ def components_of(scene: Scene, method: Method, kind: str | None) -> Components 
     )
     faces = 0 if scene.skin is None else scene.skin.mesh.count
     count = len(lights) + (scene.background is not None)
-    rows: list[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]] = []
+    rows: list[tuple[str, Any, np.ndarray, np.ndarray, float]] = []
 
-    def row(name: str, skin: Any = (), sources: Any = (), plumes: Any = (), ambient: float = 0.0) -> None:
-        kept = np.zeros(faces), np.zeros(count), np.zeros(len(scene.plumes))
-        for values, held in zip(kept, (skin, sources, plumes), strict=True):
+    def row(name: str, skin: Any = None, sources: Any = (), plumes: Any = (), ambient: float = 0.0) -> None:
+        kept = np.zeros(count), np.zeros(len(scene.plumes))
+        for values, held in zip(kept, (sources, plumes), strict=True):
             values[np.asarray(held, int)] = 1
-        rows.append((name, *kept, ambient))
+        rows.append((name, np.zeros(faces) if skin is None else skin, *kept, ambient))
 
+    xp: Any = np
     if scene.skin is not None:
-        part = np.asarray(scene.skin.part)
-        own = [(name, np.flatnonzero(part == i)) for i, name in enumerate(scene.skin.part_names)]
-        split = [(f"skin, {name}", held) for name, held in own if held.size]
-        for name, held in split if kind == "parts" else [("skin", np.arange(faces))]:
+        xp, part = on_host(scene.skin.part)  # inside jit all names are taken to have faces
+        own = [(f"skin, {name}", part == i) for i, name in enumerate(scene.skin.part_names)]
+        split = [(name, held) for name, held in own if xp is jnp or held.any()]
+        for name, held in split if kind == "parts" else [("skin", np.ones(faces))]:
             row(name, skin=held)
     for name, index in zip(_numbered([type(lights[i]).__name__ for i in shining]), shining, strict=True):
         row(name, sources=[index])
@@ -116,7 +117,9 @@ def components_of(scene: Scene, method: Method, kind: str | None) -> Components 
     seen = [BACKGROUND] if scene.background is not None else []
     seen += [AIR] if scene.atmosphere is not None else []
     names, *columns = zip(*rows, strict=True)
-    skin, sources, plumes, ambient = (placed(np.stack(column).astype(np.float32)) for column in columns)
+    skin, sources, plumes, ambient = (
+        placed(xp.stack([xp.asarray(value, np.float32) for value in column])) for column in columns
+    )
     return Components(skin, sources, plumes, ambient, (*names, *seen))
 
 
