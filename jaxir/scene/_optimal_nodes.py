@@ -120,12 +120,16 @@ def _best(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, most:
         require(scene.checks())
     asked = (jax.tree.structure(scenes), str(bands), fingerprint(scenes), float(rtol))
     nodes = remembered(_held, asked, lambda: _choice(scenes, bands, rtol, asked), KEPT)
-    return nodes if np.all(np.asarray(nodes.error) <= most) else with_error(finest_nodes(bands), np.zeros(len(bands)))
+    return (
+        nodes
+        if np.all(np.asarray(nodes.error) <= most)
+        else with_error(finest_nodes(scenes, bands), np.zeros(len(bands)))
+    )
 
 
 def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, asked: tuple) -> Nodes:
     """The nodes as an earlier process chose them, or chosen now."""
-    fine = finest_nodes(bands)
+    fine = finest_nodes(scenes, bands)
 
     def found() -> list[Any]:
         spectra = [_spectra(with_few_cells(scene), fine, as_float(draws())) for scene in scenes]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -20,7 +21,10 @@ from jaxir.optics.spectrum import (
     Band,
     Nodes,
     Resolution,
+    Table,
+    TabulatedSpectrum,
     as_bands,
+    cuts_for,
     finer_nodes,
     gray_nodes,
     padded_nodes,
@@ -29,6 +33,7 @@ from jaxir.optics.spectrum import (
 )
 from jaxir.scene._probes import ACROSS, RAYS, across, behind, brought, draws, from_outside, through, warmth
 from jaxir.scene._scene import Scene, on_nodes
+from jaxir.scene.air import TableAtmosphere
 
 RTOL = 0.02  # of the in-band results of probing rays, against the finest nodes
 *TRIED, FINEST = RESOLUTIONS  # the finest, of 12 quantiles, is what others are compared with
@@ -85,10 +90,10 @@ def spectral(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> bool:
 
 def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:
     """The fewest nodes that do, as an earlier process found or anew."""
-    candidates = _candidates(bands)
+    candidates = _candidates(bands, _cuts((scene,), bands))
 
     def found() -> list[Any]:
-        place, error = _fewest(scene, candidates, finest_nodes(bands))
+        place, error = _fewest(scene, candidates, finest_nodes((scene,), bands))
         return [place, error.tolist()]
 
     place, error = kept_choice("nodes", asked, found)
@@ -155,15 +160,35 @@ def _apart(results: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.max(np.abs(results[0] - others[0]) / np.where(others[1] > 0, others[1], 1), axis=0)
 
 
-def _candidates(bands: tuple[Band, ...]) -> list[Nodes]:
+def _candidates(bands: tuple[Band, ...], cuts: list[float]) -> list[Nodes]:
     """From few nodes to many, gray ones first."""
-    tries = [resolved_nodes(bands, *each) for each in ((*TRIED, FINEST, *MORE) if _narrow(bands) else TRIED)]
+    widths = (*TRIED, FINEST, *MORE) if _narrow(bands) else TRIED
+    tries = [resolved_nodes(bands, *each, cuts=cuts) for each in widths]
     return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count)]
 
 
-def finest_nodes(bands: tuple[Band, ...]) -> Nodes:
+def finest_nodes(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> Nodes:
     """What others are compared with."""
-    return resolved_nodes(bands, *(FINER if _narrow(bands) else FINEST))
+    return resolved_nodes(bands, *(FINER if _narrow(bands) else FINEST), cuts=_cuts(scenes, bands))
+
+
+def _cuts(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> list[float]:
+    """Where bins have to end because of what is tabulated in scenes, see `cuts_for`."""
+    lights, airs = [], []
+    for scene in scenes:
+        parts = jax.tree.leaves((scene.sources, scene.background), is_leaf=lambda x: isinstance(x, TabulatedSpectrum))
+        lights += [_of_light(part) for part in parts if isinstance(part, TabulatedSpectrum)]
+        if isinstance(scene.atmosphere, TableAtmosphere):
+            air = scene.atmosphere
+            wavenumber, passed = (np.asarray(x, np.float64) for x in (air.wavenumber, air.transmittance))
+            airs.append(Table(wavenumber, functools.partial(np.interp, xp=wavenumber, fp=passed)))
+    return cuts_for(bands, lights, airs, FINEST.width)
+
+
+def _of_light(light: TabulatedSpectrum) -> Table:
+    wavelength, value = (np.asarray(x, np.float64) for x in (light.wavelength, light.value))
+    total = value.reshape(-1, wavelength.size).sum(axis=0)
+    return Table(1e4 / wavelength[::-1], lambda x: np.interp(1e4 / x, wavelength, total) * 1e4 / x**2)
 
 
 def _narrow(bands: tuple[Band, ...]) -> bool:
@@ -201,8 +226,7 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "2 result band"]:
     warm = dark if scene.skin is None else warmth(scene.skin, nodes)
     around = () if lit.scene.background is None else (lit.scene.background,)
     sky = jnp.concatenate(brought(around, nodes) or [dark])
-    lights = tuple(own for given, own in zip(scene.sources, lit.scene.sources, strict=True) if given.has_spectrum)
-    seen = [warm, *brought(lights, nodes)]
+    seen = [warm, *brought(lit.scene.sources, nodes)]
     if scene.background is not None and scene.background.has_spectrum:
         seen.append(sky)
     less = [_each_less(warm, sky)] if around and scene.skin is not None else []

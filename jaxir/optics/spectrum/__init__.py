@@ -30,6 +30,8 @@ from jaxir.optics.spectrum._planck import spectral_radiance as spectral_radiance
 from jaxir.optics.spectrum._planck import spectral_radiance_wavelength as spectral_radiance_wavelength
 from jaxir.optics.spectrum._resolve import RESOLUTIONS as RESOLUTIONS
 from jaxir.optics.spectrum._resolve import Resolution as Resolution
+from jaxir.optics.spectrum._resolve import Table as Table
+from jaxir.optics.spectrum._resolve import cuts_for as cuts_for
 from jaxir.optics.spectrum._resolve import finer_nodes as finer_nodes
 from jaxir.optics.spectrum._resolve import nodes_for as nodes_for
 from jaxir.optics.spectrum._resolve import quantiles as quantiles

@@ -8,7 +8,7 @@ unrelated need two quantiles.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -29,9 +29,10 @@ CO2_H2O_OVERLAP = ((800.0, 1150.0), (3300.0, 3800.0), (4800.0, 5150.0))
 """Where CO2 and H2O of combustion products both matter [cm-1]: elsewhere between 800 and 9300 cm-1 a common quantile
 changes the radiance of SWIR, MWIR or LWIR by less than 0.3 % (1e-3 rms)."""
 
+LEAST = 1e-5  # of its wavenumber is a bin wide that may be halved, in single precision
 COLD = 250.0  # temperature whose blackbody changes fast with the wavenumber [K]
 OF_RESPONSE = 2e-3  # of a band may be what responses err that act by their means over bins
-HALVINGS = 6  # of bins at most
+HALVINGS, FINE_HALVINGS = 6, 16  # of bins at most: for responses alone, and where tables have narrow lines
 _GRAIN = 1e-9  # of edges that went through `Nodes.edge`
 _STRETCH = 3  # g = 1 - (1 - s)^3 crowds the points where the few strong values of k lie
 
@@ -62,6 +63,7 @@ def resolved_nodes(
     points: int = 8,
     pair_points: int = 5,
     overlap: Sequence[tuple[float, float]] = CO2_H2O_OVERLAP,
+    cuts: Sequence[float] = (),
 ) -> Nodes:
     """Nodes for gases and atmospheres: bins on multiples of `width`, clipped to the bands, each with a set of g.
 
@@ -83,6 +85,7 @@ def resolved_nodes(
         points: quantiles in a bin with one important gas; 1 for spectra that are smooth inside a bin.
         pair_points: quantiles per gas in overlap bins; 0 keeps equal quantiles there too.
         overlap: wavenumber intervals [cm-1] with two important gases.
+        cuts: wavenumbers [cm-1] at which bins end besides, see `cuts_for`.
 
     Returns:
         Nodes in ascending wavenumber, none where no band responds; `Nodes.response` is each band's mean response over
@@ -98,7 +101,7 @@ def resolved_nodes(
         raise ValueError(f"points, pair_points: got {points}, {pair_points}, expected 1 ... 64 and 0 ... 64")
 
     edges = np.array([(1e4 / band.upper, 1e4 / band.lower) for band in bands])
-    lower, upper = _cut_by_response(bands, edges, *_bins(edges, width))
+    lower, upper = _cut_by_response(bands, edges, *_bins(edges, width, cuts))
     response = _in_bins(bands, edges, lower, upper, Band.mean_response)
     some = response.any(axis=0) if response.any() else slice(None)
     each = lower[some], upper[some], response[:, some]
@@ -138,6 +141,56 @@ def _cut_by_response(
         middle = (lower[cut] + upper[cut]) / 2
         lower, upper = (np.sort(np.concatenate([each, middle])) for each in (lower, upper))  # bins do not overlap
     return lower, upper
+
+
+class Table(NamedTuple):
+    """A function of the wavenumber, smooth between some of them [cm-1]."""
+
+    samples: np.ndarray
+    at: Callable[[Any], Any]
+
+
+def cuts_for(bands: Sequence[Band], lights: Sequence[Table], airs: Sequence[Table], width: float) -> list[float]:
+    """Where bins of a width have to end besides, so that means over them serve for what is tabulated.
+
+    In a bin the mean of a product of a response, of light and of what passes air is taken for the product of their
+    means, which errs where both have lines in it. Bins are halved until all of a band errs by `OF_RESPONSE` of it at
+    most for each two of them, signs taken into account, `FINE_HALVINGS` times at most.
+    """
+    found: set[float] = set()
+    for band in bands:
+        edges = np.array([[1e4 / band.upper, 1e4 / band.lower]])
+        lower, upper = _cut_by_response([band], edges, *_bins(edges, width))
+        own = [] if band.response is None else [_response(band)]
+        pairs = [(one, other) for one in own for other in (*lights, *airs)]
+        for one, other in [*pairs, *((light, air) for light in lights for air in airs)]:
+            for _ in range(FINE_HALVINGS):
+                errs, whole = _products(one, other, lower, upper)
+                if abs(errs.sum()) <= OF_RESPONSE * whole:
+                    break
+                cut = (np.abs(errs) * errs.size > OF_RESPONSE * whole) & (upper - lower > LEAST * upper)
+                middle = (lower[cut] + upper[cut]) / 2
+                found.update(middle.tolist())
+                lower, upper = (np.sort(np.concatenate([each, middle])) for each in (lower, upper))
+    return sorted(found)
+
+
+def _response(band: Band) -> Table:
+    wavelength, response = np.array(band.response).T
+    return Table(1e4 / wavelength[::-1], lambda x: np.interp(1e4 / x, wavelength, response))
+
+
+def _products(one: Table, other: Table, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:
+    """What bins lack of the integral of a product where it is taken for that of the means [bin], and all of it."""
+    x = np.unique(np.concatenate([one.samples, other.samples, lower, upper]))
+    x = x[(x >= lower[0]) & (x <= upper[-1])]
+    place = [x[:-1] * (1 - share) + x[1:] * share for share in (1e-9, 0.5, 1 - 1e-9)]  # tables may jump
+    f, g = (np.stack([table.at(each) for each in place]) for table in (one, other))
+    simpson = (np.diff(x) / 6)[None] * np.array([[1.0], [4.0], [1.0]])
+    sums = [np.append(0.0, np.cumsum((simpson * each).sum(axis=0))) for each in (f * g, f, g)]
+    first, last = np.searchsorted(x, lower), np.searchsorted(x, upper)
+    both, of_one, of_other = (each[last] - each[first] for each in sums)
+    return both - of_one * of_other / (upper - lower), float(both.sum())
 
 
 def finer_nodes(nodes: Nodes) -> Nodes:
@@ -252,13 +305,12 @@ def _square(points: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([first.ravel(), second.ravel()], axis=-1), np.outer(weight, weight).ravel()
 
 
-def _bins(edges: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals between all multiples of `width` and all band edges that lie in at least one band."""
+def _bins(edges: np.ndarray, width: float, cuts: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals between all multiples of `width`, all band edges and all cuts that lie in at least one band."""
     multiples = np.arange(np.floor(edges.min() / width), np.ceil(edges.max() / width) + 1) * width
-    cuts = np.unique(np.concatenate([multiples, edges.ravel()]))
-    keep = np.concatenate([[True], np.diff(cuts) > 1e-9 * cuts[1:]])  # 1e4/8 is 1250 only up to rounding
-    cuts = cuts[keep]
-    lower, upper = cuts[:-1], cuts[1:]
+    ends = np.unique(np.concatenate([multiples, edges.ravel(), np.asarray(cuts, np.float64)]))
+    ends = ends[np.concatenate([[True], np.diff(ends) > 1e-9 * ends[1:]])]  # 1e4/8 is 1250 only up to rounding
+    lower, upper = ends[:-1], ends[1:]
     middle = (lower + upper) / 2
     used = ((middle > edges[:, :1]) & (middle < edges[:, 1:])).any(axis=0)
     return lower[used], upper[used]
