@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxir._arrays import placed
+from jaxir._arrays import known, placed
 from jaxir._math import einsum
 from jaxir._programs import program
 from jaxir.fit._drift import density_ratio, effective_share
@@ -133,8 +133,11 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
         The observation. Runs on the host: the number of kept rays depends on the scene.
 
     Raises:
-        ValueError: no ray meets anything, or images are fitted before a background that is not uniform.
+        ValueError: no ray meets anything, images are fitted before a background that is not uniform, or values are
+            known only inside jit.
     """
+    if any(known(leaf) is None for leaf in jax.tree.leaves((scene, measurement))):
+        raise ValueError("measurement, scene: got traced values (inside jit), expected a call outside it")
     background = scene.background
     if measurement.per_pixel and not (background is None or background.uniform):
         raise ValueError(f"measurement: got images before a {type(background).__name__}, expected a uniform background")

@@ -10,6 +10,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from jaxir._arrays import is_traced
 from jaxir.scene import Scene
 
 UNLIKELY = 1e-3  # probability below which a model is said not to explain the data
@@ -88,6 +89,8 @@ def uncertainty(
     Returns:
         The uncertainty.
     """
+    if is_traced(jacobian):
+        raise ValueError("uncertainty: got traced values (inside jit, grad or vmap), expected a call outside it")
     j = np.asarray(jacobian, np.float64)
     count = j.shape[1]
     j = np.concatenate([j, np.zeros((max(0, count - j.shape[0]), count))])

@@ -15,6 +15,7 @@ from jaxir.fit import (
     NormalPrior,
     SmoothPrior,
     at_values,
+    expected_uncertainty,
     fit,
     linearised,
     look,
@@ -223,3 +224,17 @@ def test_a_smooth_prior_fills_what_the_data_leave_open():
     steps = np.concatenate([np.diff(field, axis=0).ravel(), np.diff(field, axis=1).ravel()])
     np.testing.assert_allclose(prior.residual(value), steps / 2)
     assert eqx.tree_equal(prior.residual(jnp.full(6, 3.0)), jnp.zeros(7))
+
+
+def test_values_known_only_inside_transformations_are_refused():
+    """They were told that an array of JAX is none of numpy."""
+    scene = lit_plate(jaxir.Lambert(0.7))
+    measured = measured_intensity(scene, [(0, 0)], jaxir.MWIR, [[1.0]], 0.1, shape=(4, 4))
+
+    def warm(kelvin):
+        return eqx.tree_at(lambda s: s.skin.temperature, scene, jnp.full(2, kelvin))
+
+    with pytest.raises(ValueError, match=r"scene: got traced values \(inside jit\), expected a call outside it"):
+        jax.jit(lambda kelvin: sensitivity(warm(kelvin), measured, "MWIR"))(400.0)
+    with pytest.raises(ValueError, match=r"uncertainty: got traced values .*, expected a call outside it"):
+        jax.jacfwd(lambda kelvin: expected_uncertainty(warm(kelvin), [part_emissivity("skin")], [measured]))(400.0)
