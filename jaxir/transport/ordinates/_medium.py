@@ -306,13 +306,14 @@ def chosen_rays(part: Part, camera: Camera, start: Float[Array, ""]) -> tuple[Ra
 
 
 @program
-def lattice_lacks(bare: Lit, camera: Camera) -> Float[Array, "part kind node"]:
-    """What `Scattered.lacking` sees of each plume, summed over a camera's image.
+def lattice_lacks(bare: Lit, camera: Camera) -> Float[Array, "part kind node"] | None:
+    """What `Scattered.lacking` sees of each plume, summed over a camera's image; None where nothing was solved for.
 
     Of a scene `Lit.in_vacuum`, before it is aimed at: a program that images and tables share, through any air and in
     any bands. Skin in front of plumes is not looked for.
     """
-    assert isinstance(bare.medium, Scattered)
+    if not isinstance(bare.medium, Scattered):
+        return None
     medium, found = bare.medium.aimed_at(camera.eye), []
     for place, part in enumerate(medium.parts):
         rays, weight = chosen_rays(part, camera, bare.scene.start(camera))
@@ -321,10 +322,12 @@ def lattice_lacks(bare: Lit, camera: Camera) -> Float[Array, "part kind node"]:
 
 
 @program
-def lattice_error(lit: Lit, lacks: Float[Array, "*view part kind node"]) -> Float[Array, "*view band"]:
-    """What the lattice lacks of the intensity of plumes in an image [band] [W sr-1].
+def lattice_error(lit: Lit, lacks: Float[Array, "*view part kind node"] | None) -> Float[Array, "*view band"] | None:
+    """What the lattice lacks of the intensity of plumes in an image [band] [W sr-1]; None where it lacks none.
 
     It is what `lattice_lacks` found, and what changed from fewer harmonics to those there are, through the air.
     """
+    if lacks is None:
+        return None
     whole, rough, reading, beams, pieces = jnp.moveaxis(lit.nodes.in_band(lit.dimmed_by_air(lacks)), -2, 0)
     return jnp.sum(reading + jnp.abs(beams) + pieces + jnp.abs(whole - rough), axis=-2)
