@@ -32,7 +32,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
 from jaxir._programs import program
 from jaxir.optics.spectrum import Band, Nodes, as_bands, gray_nodes, padded_nodes, some_of, told_apart, with_error
-from jaxir.scene._probes import RAYS, behind, brought, draws, from_outside, through, warmth
+from jaxir.scene._probes import RAYS, behind, brought, draws, from_outside, joined, through, warmth
 from jaxir.scene._resolution import (
     GRAIN,
     KEPT,
@@ -120,11 +120,9 @@ def _best(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, most:
         require(scene.checks())
     asked = (jax.tree.structure(scenes), str(bands), fingerprint(scenes), float(rtol))
     nodes = remembered(_held, asked, lambda: _choice(scenes, bands, rtol, asked), KEPT)
-    return (
-        nodes
-        if np.all(np.asarray(nodes.error) <= most)
-        else with_error(finest_nodes(scenes, bands), np.zeros(len(bands)))
-    )
+    if np.all(np.asarray(nodes.error) <= most):
+        return nodes
+    return with_error(finest_nodes(scenes, bands), np.zeros(len(bands)))
 
 
 def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, asked: tuple) -> Nodes:
@@ -174,7 +172,7 @@ def _spectra(scene: Scene, nodes: Nodes, draws: Float[Array, "ray 6"]) -> Spectr
         none = jnp.zeros((0, RAYS, nodes.count), flat.dtype)
         return Spectra(*known, none, none)
     inside = through(scene, draws)
-    rays = jax.tree.map(lambda *both: jnp.concatenate(both), from_outside(scene, inside), inside)
+    rays = joined([from_outside(scene, inside), inside])
     far, dark = jnp.full(rays.count, jnp.inf, flat.dtype), jnp.zeros((rays.count, nodes.count), flat.dtype)
     passed = lit.medium.transmittance(rays, far)
     along = jnp.stack([lit.medium.radiance(rays, far, dark), *(passed * own[None] for own in others)])

@@ -54,7 +54,7 @@ def across(scene: Scene) -> Rays:
         origin = low[None] + as_float(share.reshape(-1, 3)) * (high - low)[None]
         return Rays(matmul(origin, frame), matmul(as_float(direction), frame))
 
-    return from_outside(scene, _joined([of(plume) for plume in scene.plumes]))
+    return from_outside(scene, joined([of(plume) for plume in scene.plumes]))
 
 
 def through(scene: Scene, draws: Float[Array, "ray 6"]) -> Rays:
@@ -62,10 +62,11 @@ def through(scene: Scene, draws: Float[Array, "ray 6"]) -> Rays:
 
     Every other goes to any side, and those between nearly along the plume.
     """
-    return _joined([_through(plume, draws) for plume in scene.plumes])
+    return joined([_through(plume, draws) for plume in scene.plumes])
 
 
-def _joined(each: list[Rays]) -> Rays:
+def joined(each: list[Rays]) -> Rays:
+    """All of several groups of rays."""
     return jax.tree.map(lambda *all: jnp.concatenate(all), *each)
 
 

@@ -31,7 +31,7 @@ from jaxir.optics.spectrum import (
     resolved_nodes,
     with_error,
 )
-from jaxir.scene._probes import ACROSS, RAYS, across, behind, brought, draws, from_outside, through, warmth
+from jaxir.scene._probes import ACROSS, RAYS, across, behind, brought, draws, from_outside, joined, through, warmth
 from jaxir.scene._scene import Scene, on_nodes
 from jaxir.scene.air import TableAtmosphere
 
@@ -90,10 +90,11 @@ def spectral(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> bool:
 
 def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:
     """The fewest nodes that do, as an earlier process found or anew."""
-    candidates = _candidates(bands, _cuts((scene,), bands))
+    cuts = _cuts((scene,), bands)
+    candidates = _candidates(bands, cuts)
 
     def found() -> list[Any]:
-        place, error = _fewest(scene, candidates, finest_nodes((scene,), bands))
+        place, error = _fewest(scene, candidates, _finest(bands, cuts))
         return [place, error.tolist()]
 
     place, error = kept_choice("nodes", asked, found)
@@ -169,7 +170,11 @@ def _candidates(bands: tuple[Band, ...], cuts: list[float]) -> list[Nodes]:
 
 def finest_nodes(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> Nodes:
     """What others are compared with."""
-    return resolved_nodes(bands, *(FINER if _narrow(bands) else FINEST), cuts=_cuts(scenes, bands))
+    return _finest(bands, _cuts(scenes, bands))
+
+
+def _finest(bands: tuple[Band, ...], cuts: list[float]) -> Nodes:
+    return resolved_nodes(bands, *(FINER if _narrow(bands) else FINEST), cuts=cuts)
 
 
 def _cuts(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> list[float]:
@@ -232,7 +237,7 @@ def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "2 result band"]:
     less = [_each_less(warm, sky)] if around and scene.skin is not None else []
     if lit.medium is not None:
         even, hot = across(scene), from_outside(scene, through(scene, as_float(draws())))
-        rays = jax.tree.map(lambda *both: jnp.concatenate(both), even, hot)
+        rays = joined([even, hot])
         far = jnp.full(rays.count, jnp.inf, dark.dtype)
         unlit = jnp.broadcast_to(dark, (rays.count, nodes.count))
         each = lit.medium.transmittance(rays, far), lit.medium.radiance(rays, far, unlit)

@@ -14,7 +14,7 @@ and Gauss-Legendre in v converges for wide bins and narrow ones, hot and cold, w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from typing import Any
 
@@ -25,7 +25,7 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxir._arrays import as_float, as_one_program, known, non_negative, require, thermal
+from jaxir._arrays import Check, as_float, as_one_program, known, non_negative, require, thermal
 from jaxir._math import gauss_legendre, on_platform
 from jaxir.optics.spectrum._band import SECOND_RADIATION, Band, Nodes, as_nodes, wavelength_to_wavenumber
 
@@ -86,14 +86,15 @@ def band_radiance(
 
     Differentiable in temperature.
     """
-    hot = _as_array(temperature)
-    if known(hot) is not None:
-        require([thermal("band_radiance: temperature", hot)])
-    return _band_radiance(hot, nodes)
+    return _band_radiance(_checked(thermal, "band_radiance: temperature", temperature), nodes)
 
 
-def _as_array(value: Any) -> Array:
-    return value if isinstance(value, Array) else as_float(value)
+def _checked(within: Callable[[str, Array], Check], field: str, value: Any) -> Array:
+    """As an array, in range where it is known; elsewhere nothing is traced for it."""
+    array = value if isinstance(value, Array) else as_float(value)
+    if known(array) is not None:
+        require([within(field, array)])
+    return array
 
 
 @as_one_program
@@ -250,9 +251,7 @@ def brightness_temperature(
 
     Differentiable in radiance, but where nothing arrives: there the slope, which has no limit, is given as 0.
     """
-    seen = _as_array(radiance)
-    if known(seen) is not None:
-        require([non_negative("brightness_temperature: radiance", seen)])
+    seen = _checked(non_negative, "brightness_temperature: radiance", radiance)
     return _brightness_temperature(seen, nodes)
 
 

@@ -138,9 +138,14 @@ def _cut_by_response(
         cut = (errs * lower.size > OF_RESPONSE * whole).any(axis=0)
         if not cut.any():
             break
-        middle = (lower[cut] + upper[cut]) / 2
-        lower, upper = (np.sort(np.concatenate([each, middle])) for each in (lower, upper))  # bins do not overlap
+        lower, upper = _halved(lower, upper, cut)
     return lower, upper
+
+
+def _halved(lower: np.ndarray, upper: np.ndarray, cut: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bins that do not overlap, some of them cut in their middle."""
+    middle = (lower[cut] + upper[cut]) / 2
+    return np.sort(np.concatenate([lower, middle])), np.sort(np.concatenate([upper, middle]))
 
 
 class Table(NamedTuple):
@@ -161,6 +166,7 @@ def cuts_for(bands: Sequence[Band], lights: Sequence[Table], airs: Sequence[Tabl
     for band in bands:
         edges = np.array([[1e4 / band.upper, 1e4 / band.lower]])
         lower, upper = _cut_by_response([band], edges, *_bins(edges, width))
+        without = lower
         own = [] if band.response is None else [_response(band)]
         pairs = [(one, other) for one in own for other in (*lights, *airs)]
         for one, other in [*pairs, *((light, air) for light in lights for air in airs)]:
@@ -169,9 +175,8 @@ def cuts_for(bands: Sequence[Band], lights: Sequence[Table], airs: Sequence[Tabl
                 if abs(errs.sum()) <= OF_RESPONSE * whole:
                     break
                 cut = (np.abs(errs) * errs.size > OF_RESPONSE * whole) & (upper - lower > LEAST * upper)
-                middle = (lower[cut] + upper[cut]) / 2
-                found.update(middle.tolist())
-                lower, upper = (np.sort(np.concatenate([each, middle])) for each in (lower, upper))
+                lower, upper = _halved(lower, upper, cut)
+        found.update(np.setdiff1d(lower, without).tolist())
     return sorted(found)
 
 
