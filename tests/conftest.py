@@ -8,8 +8,11 @@ import importlib
 import os
 from pathlib import Path
 
-# Most of the time of the tests is that of the compiler, whose second level is a tenth faster than its third.
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=2".strip()
+# Most of the time of the tests is that of the compiler, whose second level is a tenth faster than its third; to cut
+# every program in pieces for cores that other tests keep busy takes another tenth.
+os.environ["XLA_FLAGS"] = (
+    f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=2 --xla_cpu_parallel_codegen_split_count=1"
+).strip()
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # of processes that tests begin; `pytest_runtest_setup` sets its own
 os.environ.setdefault("JAXIR_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "programs"))
 

@@ -322,18 +322,25 @@ def test_a_bin_beyond_a_table_is_told_what_it_covers_and_what_was_asked(part, co
         enforce(jnp.zeros(1), part().node_checks(jaxir.gray_nodes((jaxir.Band("far", 13.0, 14.0),))))
 
 
-@pytest.mark.parametrize("air", [jaxir.StandardAtmosphere(0.0, 1e3, 5e3), jaxir.UniformAtmosphere(1e-4, 5e3)])
-def test_a_path_of_another_length_than_the_way_to_the_eye_is_doubted(air, monkeypatch):
-    """Before anything is computed."""
+class ComputedError(Exception):
+    """What there is to say was said before."""
 
-    class ComputedError(Exception):
-        pass
+
+@pytest.fixture
+def uncomputed(monkeypatch):
+    """Images and signatures raise `ComputedError` in the place of their first ray."""
 
     def computed(*_args, **_kwargs):
         raise ComputedError
 
     monkeypatch.setattr(importlib.import_module("jaxir.imaging._passes"), "even_image", computed)
     monkeypatch.setattr(importlib.import_module("jaxir.imaging._views"), "until_met", computed)
+
+
+@pytest.mark.usefixtures("uncomputed")
+@pytest.mark.parametrize("air", [jaxir.StandardAtmosphere(0.0, 1e3, 5e3), jaxir.UniformAtmosphere(1e-4, 5e3)])
+def test_a_path_of_another_length_than_the_way_to_the_eye_is_doubted(air):
+    """Before anything is computed."""
     scene = jaxir.Scene(skin(), atmosphere=air)
 
     def looks(distance):
@@ -352,3 +359,21 @@ def test_a_path_of_another_length_than_the_way_to_the_eye_is_doubted(air, monkey
         for look in (*looks(5.2e3), lambda: jaxir.render(scene, far, jaxir.LWIR)):
             with pytest.raises(ComputedError):
                 look()
+
+
+@pytest.mark.usefixtures("uncomputed")
+@pytest.mark.parametrize("parts", [{"skin": skin()}, {"plumes": (cloud(),)}, {"skin": skin(), "plumes": (cloud(),)}])
+def test_pixels_in_which_few_rays_may_meet_the_target_are_doubted(parts):
+    """Where none does, the image is nothing without an error. A plume beside a small skin is a target, too."""
+    scene = jaxir.Scene(**parts)
+
+    def look(pixel, samples):
+        with pytest.raises(ComputedError):
+            jaxir.render(scene, jaxir.orthographic_camera(-90, 0, pixel, (2, 2)), NODES, samples=samples)
+
+    with pytest.warns(jaxir.PlausibilityWarning, match="samples: got 8, expected at least [1-9].* or rtol"):
+        look(100.0, 8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        look(1.0, 8)
+        look(100.0, 2**18)

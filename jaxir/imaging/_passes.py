@@ -13,13 +13,14 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Key
 
-from jaxir._arrays import as_float, is_traced, key_or_default
+from jaxir._arrays import as_float, is_traced, key_or_default, require
 from jaxir._programs import of_items
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import adapted, even_image, looked
 from jaxir.imaging._choices import FEW, few_rays, rays_to_see, with_bounces
 from jaxir.imaging._chunks import Pass, estimate_chunk, first_pass, parts_for, scattered_for
 from jaxir.imaging._devices import shared_by
+from jaxir.imaging._entry import miss_doubts
 from jaxir.imaging._image import Image, Outcome, few_tell, joined
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._pilot import well_shaped
@@ -131,6 +132,7 @@ def render(
     planned, left = samples is None and pixel_rtol is None, None
     samples = 8 if samples is None else samples
     if goal is None:
+        require(miss_doubts(scene, camera, samples))
         return ended(even_image(first._replace(parts=parts), 0, samples, mesh, alone=True), None)
     wanted, look = rays_to_see(first), None
     few = few_rays(wanted, max_samples)
