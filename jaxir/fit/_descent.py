@@ -10,8 +10,9 @@ rejected step asks for. The damping follows the ratio of the fall of the loss to
 "Damping parameter in Marquardt's method" (IMM-REP-1999-05, DTU, 1999).
 
 |c| is the distance to the solution of the linearised problem in units of the residual: where residuals are in standard
-deviations, so is it. The solver stops there, not where a step is short, so a damped step far from the solution ends
-nothing, and neither does a flat direction that the data do not determine keep it going.
+deviations, so is it. Of each c_k counts what one natural step along v_k may change: at a bound, towards which a column
+fades, the rest is out of reach. The solver stops there, not where a step is short, so a damped step far from the
+solution ends nothing, and neither does a flat direction that the data do not determine keep it going.
 """
 
 from __future__ import annotations
@@ -119,15 +120,19 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         damping = jnp.where(state.first, START * jnp.max(singular, initial=0) ** 2, damping)
         square = singular * singular
         damped = square + damping
-        delta = matmul(-(singular * along / jnp.where(damped > 0, damped, 1)), right) / _divisor(size)
+        ways = right / _divisor(size)[None, :]
+        delta = matmul(-(singular * along / jnp.where(damped > 0, damped, 1)), ways)
         left_over = damping / jnp.where(damped > 0, damped, 1)
         predicted = jnp.sum(along * along * (1 - left_over * left_over))
         tolerance = self.atol + self.rtol * jnp.sqrt(held_loss)
         seen = singular > jnp.finfo(y.dtype).eps * jnp.max(singular, initial=0)
-        distance = jnp.sqrt(jnp.sum(jnp.where(seen, along * along, 0)))
+        longest = jnp.max(jnp.abs(ways), axis=1)
+        within = singular / jnp.where(longest > 0, longest, 1)  # of one natural step
+        distance = jnp.linalg.norm(jnp.where(seen, jnp.minimum(jnp.abs(along), within), 0))
         near = distance <= NEARLY * tolerance
         arrived = (distance <= tolerance) | (near & ~taken)
-        stuck = ~(predicted > tolerance * tolerance)  # also where nothing is finite any more
+        gains = predicted > tolerance * tolerance  # not where nothing is finite any more
+        stuck = ~gains & ~(taken & jnp.isfinite(predicted))  # where a step was taken, the next is damped less
         here = jnp.where(taken, state.trial, y)
         return (
             here,

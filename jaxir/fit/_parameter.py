@@ -20,6 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, float_dtype
@@ -37,17 +38,17 @@ class Bounds(eqx.Module):
     Attributes:
         lower: -inf for none.
         upper: inf for none; a finite upper bound needs a finite lower one.
-        scale: natural step of an unbounded parameter, in its unit.
+        scale: natural step of an unbounded parameter, in its unit; None for the size of its start, 1 where that is 0.
     """
 
     lower: float = eqx.field(static=True)
     upper: float = eqx.field(static=True)
-    scale: float = eqx.field(static=True)
+    scale: float | None = eqx.field(static=True)
 
-    def __init__(self, lower: float = -math.inf, upper: float = math.inf, scale: float = 1.0):
+    def __init__(self, lower: float = -math.inf, upper: float = math.inf, scale: float | None = None):
         """Check and keep; the limits are structure, so other limits compile anew."""
-        self.lower, self.upper, self.scale = float(lower), float(upper), float(scale)
-        if not self.lower < self.upper or not (self.scale > 0 and math.isfinite(self.scale)):
+        self.lower, self.upper, self.scale = float(lower), float(upper), None if scale is None else float(scale)
+        if not self.lower < self.upper or not (self.scale is None or 0 < self.scale < math.inf):
             raise ValueError(f"Bounds: got {lower}, {upper}, scale {scale}; expected lower < upper and scale > 0")
         if math.isinf(self.lower) and not math.isinf(self.upper):
             raise ValueError(f"Bounds: got an upper bound {upper} without a lower one, expected both or only the lower")
@@ -61,10 +62,16 @@ class Bounds(eqx.Module):
         share = (value - self.lower) / (self.upper - self.lower)
         return jnp.log(share) - jnp.log1p(-share)
 
+    def step(self, start: Float[Array, " k"]) -> Float[Array, " k"]:
+        """Natural steps of unbounded values that have such a start, in their unit."""
+        if self.scale is not None:
+            return jnp.full_like(start, self.scale)
+        return lax.stop_gradient(jnp.where(start != 0, jnp.abs(start), 1))
+
     def to_value(self, z: Float[Array, " k"], start: Float[Array, " k"]) -> Float[Array, " k"]:
         """The value at coordinate z; `start` is where an unbounded parameter has z = 0. Differentiable in z."""
         if math.isinf(self.lower):
-            return start + self.scale * z
+            return start + self.step(start) * z
         if math.isinf(self.upper):
             return self.lower + jnp.exp(z)
         return self.lower + (self.upper - self.lower) * jax.nn.sigmoid(z)
@@ -276,7 +283,8 @@ def at_values(coordinates: Coordinates, values: Any) -> Float[Array, " p"]:
     z = []
     for p, piece in zip(coordinates.parameters, pieces, strict=True):
         if math.isinf(p.bounds.lower):
-            z.append((piece - p.read(coordinates.start)) / p.bounds.scale)
+            begin = p.read(coordinates.start)
+            z.append((piece - begin) / p.bounds.step(begin))
         else:
             z.append(p.bounds.to_coordinate(piece))
     return jnp.concatenate(z)

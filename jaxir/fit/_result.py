@@ -94,12 +94,16 @@ def uncertainty(
     j = np.asarray(jacobian, np.float64)
     count = j.shape[1]
     j = np.concatenate([j, np.zeros((max(0, count - j.shape[0]), count))])
-    _, s, v = np.linalg.svd(j, full_matrices=False)
+    size = np.linalg.norm(j, axis=0)
+    size = np.where(size > 0, size, 1)  # rounding is relative to columns, whatever their units
+    _, s, v = np.linalg.svd(j / size, full_matrices=False)
     blind = s <= 30 * np.finfo(np.asarray(jacobian).dtype).eps * max(s[0], 1e-300)
-    s = np.where(blind, 0.0, s)
-    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > 0)
-    known = (v.T * inverse**2) @ v
+    seen = np.where(blind, 0.0, s)
+    inverse = np.divide(1.0, seen, out=np.zeros_like(s), where=~blind)
+    known = (v.T * inverse**2) @ v / size[:, None] / size[None, :]
     unknown = np.abs(v[blind]).max(axis=0, initial=0.0) > 1e-3
+    _, s, v = np.linalg.svd(seen[:, None] * v * size[None, :])
+    s[count - np.count_nonzero(blind) :] = 0.0
     d = np.asarray(slope, np.float64)
     covariance = d[:, None] * known * d[None, :]
     spread = np.sqrt(np.diag(covariance))

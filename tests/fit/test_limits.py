@@ -194,6 +194,7 @@ def test_a_parameter_that_hardly_acts_at_the_start_stops_no_other(start):
 @pytest.mark.parametrize(
     ("build", "message"),
     [
+        (lambda m: fit(slab(900, 1), [DEPTH], [m], max_steps=0), "max_steps: got 0, expected an integer >= 1"),
         (lambda m: fit(slab(900, 1), [DEPTH], [m], rounds=0), "rounds: got 0, expected an integer >= 1"),
         (lambda m: fit(slab(900, 1), [DEPTH], [m], max_samples=1), "max_samples: got 1, expected an integer >= 2"),
         (lambda m: measured_image(PIXEL, THREE, np.ones((1, 1, 3)), -1.0), "standard_deviation: got -1.0"),

@@ -10,7 +10,7 @@ import optimistix as optx
 import pytest
 
 import jaxir
-from jaxir.fit import expected_uncertainty, fit, particle_loading, prepare, solve
+from jaxir.fit import Bounds, Leaf, expected_uncertainty, fit, particle_loading, prepare, solve
 from jaxir.optics.particle import Isotropic
 from tests.fit.slabs import DEPTH, TEMPERATURE, looked_at, slab
 
@@ -37,6 +37,33 @@ def test_standard_deviations_of_a_gray_slab(temperature, depth, bands, relative)
     np.testing.assert_allclose(got.standard_deviation, relative, rtol=0.01)
     assert bool(got.undetermined()) == (depth > 2)
     assert ("depth" in str(got.undetermined())) == (depth > 2)
+
+
+@pytest.mark.parametrize("scales", [(None, None), (1.0, 1.0), (100.0, 1e-3)], ids=str)
+def test_standard_deviations_do_not_depend_on_the_units_of_parameters(scales):
+    """Columns of a Jacobian of single precision differ by 3e5; the temperature was told inf, the gas 2.4 times less."""
+    scene = slab(1000.0, 1e-3)
+    kelvin, gas = (Bounds(scale=scale) for scale in scales)
+    parameters = [
+        Leaf("temperature", lambda s: s.plume.temperature, kelvin),
+        Leaf("gas", lambda s: s.plume.gas.coefficient, gas),
+    ]
+    got = expected_uncertainty(scene, parameters, [looked_at(scene, THREE)])
+    np.testing.assert_allclose(got.standard_deviation, [3.11, 1.402e-5], rtol=0.01)
+    found = fit(slab(900.0, 1.1e-3), parameters, [looked_at(scene, THREE)])
+    np.testing.assert_allclose(found.uncertainty.standard_deviation, got.standard_deviation, rtol=0.01)
+    np.testing.assert_allclose(found.uncertainty.value, [1000.0, 1e-3], rtol=1e-3)
+    assert found.converged and found.steps < 30
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_solution_at_a_bound_is_one(x64, seed):
+    """Towards it the temperature's column fades, and what is left of the residual cannot be reached."""
+    exact = looked_at(slab(1000.0, 1.0), (*THREE, jaxir.Band("more", 5.0, 8.0)), 0.02)
+    noise = 0.02 * np.random.default_rng(seed).normal(size=exact.value.shape)
+    below = dataclasses.replace(TEMPERATURE, bounds=Bounds(0.2, 1.25))
+    problem = prepare(slab(800.0, 2.0), [below, DEPTH], [exact]).with_values([exact.value * (1 + noise)])
+    assert solve(problem).converged
 
 
 @pytest.mark.parametrize("start", [(0.34, 3.0), (3.0, 0.34), (0.5, 0.34), (2.0, 3.0)])
