@@ -41,7 +41,7 @@ class ErrorBudget(eqx.Module):
         bounces: what bounces from skin beyond the last would add, from few paths followed further [*view, band]; None
             where that is not known: not looked for, inside jit, and with `Method.ambient`.
         outside: what of the scene lies beyond the frame, from where it is bright before any ray is traced
-            [*view, band].
+            [*view, band]; None inside jit.
         bands: band names.
 
     `print` it for a table.
@@ -53,7 +53,7 @@ class ErrorBudget(eqx.Module):
     quadrature: Float[Array, "*view band"] | None
     truncation: Float[Array, "*view band"]
     bounces: Float[Array, "*view band"] | None
-    outside: Float[Array, "*view band"]
+    outside: Float[Array, "*view band"] | None
     bands: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -111,9 +111,9 @@ class ErrorBudget(eqx.Module):
         )
 
     def shares(self, values: Array) -> Float[np.ndarray, "*view band"]:
-        """Errors as shares of the intensity; 0 of a dark band, unless nothing is known of them."""
+        """Errors as shares of the intensity; of a dark band inf, or 0 where they are."""
         scale, errors = np.abs(np.asarray(self.intensity, np.float64)), np.asarray(values, np.float64)
-        return np.divide(errors, scale, out=np.where(np.isinf(errors), np.inf, 0.0), where=scale > 0)
+        return np.divide(errors, scale, out=np.where(errors > 0, np.inf, 0.0), where=scale > 0)
 
     def written(self) -> dict[str, Float[Array, "*view band"] | None]:
         """The parts and the total by name, as they go into files."""
@@ -126,29 +126,27 @@ def budget(
     contrast: Float[Array, "*view band"],
     spectral: Float[Array, "*each band"] | None,
     truncation: Float[Array, "*view band"],
-    outside: Float[Array, " band"] | None,
     bands: tuple[str, ...],
     asked: Asked | None,
     look: bool,
 ) -> ErrorBudget:
-    """The budget of intensities; orders come as shares of them, nodes and what is outside as shares of the contrast.
+    """The budget of intensities; orders come as shares of them, nodes as shares of the contrast.
 
     What nodes err of a hot plume stays where a cold plate beside it makes the intensity vanish. What is not known yet
     is found where it is known what was `asked`, by rays only with `look`.
     """
     left_out = _product(jnp.abs(intensity), truncation)
-    beyond = jnp.zeros_like(intensity) if outside is None else _product(contrast, _of_what_is_seen(outside))
-    quadrature = bounces = None
+    quadrature = bounces = outside = None
     if asked is not None and not isinstance(intensity, jax.core.Tracer):
         spectral = asked.spectral(look) if spectral is None else spectral
-        quadrature = asked.quadrature(look)
+        quadrature, outside = asked.quadrature(look), ROUGH * asked.outside()
         of_worst_view = intensity.ndim > 1
         if asked.left is None or (look and of_worst_view):
             bounces = asked.bounces(look)
         else:
             bounces = _product(jnp.abs(intensity), asked.left)
     by_nodes = None if spectral is None else _product(contrast, spectral)
-    return ErrorBudget(intensity, sampling, by_nodes, quadrature, left_out, bounces, beyond, bands)
+    return ErrorBudget(intensity, sampling, by_nodes, quadrature, left_out, bounces, outside, bands)
 
 
 @program
@@ -161,10 +159,3 @@ def _product(whole: Array, share: Array) -> Array:
     share = jnp.broadcast_to(share, whole.shape)
     some = (share > 0) & (share < jnp.inf)
     return jnp.where(some, whole * jnp.where(some, share, 0), jnp.where(share > 0, jnp.inf, 0))
-
-
-@program
-def _of_what_is_seen(outside: Array) -> Array:
-    """What lies outside of a frame as a share of what is in it; inf where all does."""
-    seen = 1 - outside
-    return jnp.where(seen > 0, ROUGH * outside / jnp.where(seen > 0, seen, 1), jnp.inf)

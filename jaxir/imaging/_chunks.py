@@ -31,7 +31,6 @@ from jaxir.transport import (
     evaluate_orders,
     lattice_error,
     lattice_lacks,
-    share_outside,
     solution_checks,
     trace,
     with_own_media,
@@ -257,21 +256,11 @@ def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
 @program
 def image_of_pixels(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""]) -> Image:
     """The image of estimates [row, column, ...] from `samples` rays per pixel."""
-    return _image(taken, pixels, samples, share_outside(taken.lit, taken.camera))
-
-
-def image_of_all(taken: Pass, parts: Estimate) -> Image:
-    """As `whole_image`, of a frame that is known to hold the whole scene."""
-    return _image(taken, every_pixel(taken, parts), 2 * taken.strata.count, None)
-
-
-def _image(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""], outside: Array | None) -> Image:
     camera, nodes = taken.camera, taken.lit.nodes
     names = () if taken.components is None else taken.components.names
     variance, parts_variance = pixels.surer()
-    own = pixels.mean, variance, pixels.empty, samples, pixels.orders
-    about = taken.lacking, nodes.error, outside
-    return image_of(camera, nodes.names, *own, *about, names, pixels.parts, parts_variance)
+    own = pixels.mean, variance, pixels.empty, samples, pixels.orders, taken.lacking, nodes.error
+    return image_of(camera, nodes.names, *own, names, pixels.parts, parts_variance)
 
 
 @program

@@ -47,7 +47,6 @@ class Image(eqx.Module):
         unresolved: what the lattice of `DiscreteOrdinates` lacks of the plumes' intensity in the image, estimated
             [band] [W sr-1]; None without.
         spectral: what the spectral nodes err, as a share of `contrast` [band]; None where they were given.
-        outside: share of what the scene sends beyond the frame, roughly [band], see `share_outside`; None unknown.
         asked: what it is an image of, for `error_budget`; None where values were known only inside jit.
         components: names of what `parts` holds, where `render` was asked for components.
         parts: the radiance by where its light comes from [row, column, component, band]; it adds up to `radiance`.
@@ -64,7 +63,6 @@ class Image(eqx.Module):
     orders: Float[Array, "2 band"] | None = None
     unresolved: Float[Array, " band"] | None = None
     spectral: Float[Array, " band"] | None = None
-    outside: Float[Array, " band"] | None = None
     asked: Asked | None = None
     components: tuple[str, ...] = eqx.field(static=True, default=())
     parts: Float[Array, "row column component band"] | None = None
@@ -125,7 +123,7 @@ class Image(eqx.Module):
                 image; without it they are not known, unless nothing can be there.
         """
         own = self.radiant_intensity(), self.intensity_error(), self.contrast(), self.spectral
-        return budget(*own, self.truncation, self.outside, self.bands, self.asked, look)
+        return budget(*own, self.truncation, self.bands, self.asked, look)
 
     @property
     def truncation(self) -> Float[Array, " band"]:
@@ -204,7 +202,6 @@ def image_of(
     orders: Float[Array, "row column 2 band"] | None,
     unresolved: Float[Array, " band"] | None,
     spectral: Float[Array, " band"] | None,
-    outside: Float[Array, " band"] | None,
     components: tuple[str, ...],
     parts: Float[Array, "row column component band"] | None,
     parts_variance: Float[Array, "row column component band"] | None,
@@ -216,7 +213,7 @@ def image_of(
     error = safe_sqrt(variance)
     outcome: Any = Outcome.samples_taken  # an enumeration, which types do not know
     parts_error = None if parts_variance is None else safe_sqrt(parts_variance)
-    about = whole, unresolved, spectral, outside, None, components, parts, parts_error
+    about = whole, unresolved, spectral, None, components, parts, parts_error
     return Image(mean, error, empty, camera, bands, taken, outcome, *about)
 
 
@@ -245,5 +242,5 @@ def joined(image: Image, more: Image) -> Image:
         (image.radiance, image.empty, image.orders, image.parts),
         (more.radiance, more.empty, more.orders, more.parts),
     )
-    about = image.unresolved, image.spectral, image.outside, image.asked, image.components, parts, parts_error
+    about = image.unresolved, image.spectral, image.asked, image.components, parts, parts_error
     return Image(radiance, error, empty, image.camera, image.bands, taken, image.outcome, orders, *about)

@@ -22,7 +22,7 @@ from jaxir.imaging._devices import stacked
 from jaxir.imaging._quadrature import beams_in_cells, quadrature_error, refined
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene, nodes_error, on_nodes
-from jaxir.transport import Method, bounced, trace
+from jaxir.transport import Method, beyond_frame, bounced, trace
 
 PATHS = 2048  # of a view
 FURTHER = 4  # bounces beyond the last
@@ -77,6 +77,13 @@ class Asked(eqx.Module):
         with evaluated_now():
             found = left_out(on_nodes(self.scene, self.nodes), self._views(), _further(self.method, 0))
             return self._by_view(found[:, 0])
+
+    def outside(self) -> Float[Array, "*view band"]:
+        """What `beyond_frame` finds [*view, band] [W sr-1]; 0 of views, whose frames hold the scene."""
+        if self.cameras.frame.ndim > 2:
+            return self._none()
+        with evaluated_now():
+            return beyond_frame(on_nodes(self.scene, self.nodes), self.cameras)
 
     def _views(self) -> Camera:
         """The cameras [view], one for an image."""

@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, enforce
 from jaxir._fields import require_count
@@ -19,6 +19,7 @@ from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene, on_nodes, scene_nodes
 
 GOLDEN = (math.sqrt(5) - 1) / 2
+BEFORE = 0.01  # of a box, by which rays start before it: where a jet ends on it slopes would be those of either side
 
 
 def plume_intensity(
@@ -31,7 +32,8 @@ def plume_intensity(
     The faces lie side by side, each as wide as its share of the outline, and rays enter at the points ((i + 1/2) / n,
     i (sqrt 5 - 1) / 2 mod 1) of the golden-ratio lattice, which fill a rectangle evenly whatever its proportions and
     n (Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods, 1992, ch. 3), so the error falls almost
-    as 1 / rays.
+    as 1 / rays. Of jets that shine by a thin ring at the lip, gray ones of a depth of 20 across the nozzle, it is some
+    7 % with 8192 rays, of a depth of 60 a fifth.
 
     Args:
         scene: plumes without particles, with background and air if present; no skin.
@@ -47,7 +49,8 @@ def plume_intensity(
         ValueError: the scene has skin or particles; values are out of range.
 
     Differentiable in every radiometric leaf, and in the place and shape of a jet; not in a grid or the aspect. Of one
-    jet alone what its ends do is in the slopes; of several plumes, with rays that stay, it is not, as in images.
+    jet alone what its ends do is in the slopes (`AbstractPlume.carried`); of several plumes, with rays that stay, it is
+    not, as in images.
     """
     if scene.skin is not None or scene.scatters:
         raise ValueError("scene: got skin or particles, expected plumes of gas alone")
@@ -58,36 +61,25 @@ def plume_intensity(
 
 @program
 def _integrated(scene: Scene, nodes: Nodes, frame: Array, rays: int) -> Array:
-    lit, extent = on_nodes(scene, nodes), scene.extent()
-    held = lax.stop_gradient(extent)
-    extent = extent if len(scene.plumes) == 1 else held  # a box of several does not move as each of them does
-    low, high = (_corner(extent, which(held, axis=0)) for which in (jnp.argmin, jnp.argmax))
-    through, area = entering(low, high, frame[2], rays)
+    lit, extent = on_nodes(scene, nodes), lax.stop_gradient(scene.extent())
+    through, area = entering(extent.min(axis=0), extent.max(axis=0), frame[2], rays)
+    if len(scene.plumes) == 1:  # several do not move alike
+        through, grown = scene.plumes[0].carried(through)
+        area = area * grown
     far = jnp.full(through.count, jnp.inf, area.dtype)
     seen = lit.through_air(lit.through_plume(through, far, lit.background(through.direction)))
     return nodes.in_band(jnp.sum((seen - lit.empty(through.direction)) * area[:, None], axis=0))
 
 
-def _corner(points: Float[Array, "corner 3"], which: Int[Array, " 3"]) -> Float[Array, " 3"]:
-    """Of each coordinate that of the point whose number is given.
-
-    The derivative of a minimum looks for points that are equal to it, which none is where these are computed anew.
-    """
-    return jnp.take_along_axis(points, which[None], axis=0)[0]
-
-
 def entering(
     low: Float[Array, " 3"], high: Float[Array, " 3"], toward: Float[Array, " 3"], count: int
 ) -> tuple[Rays, Float[Array, " ray"]]:
-    """Rays against `toward` that start on the faces of a box, and the cross-section that each stands for [ray] [m2].
-
-    Each face keeps its rays while the box changes under differentiation, so that none goes over to another.
-    """
+    """Rays against `toward` that start before the faces of a box, and the cross-section of each [ray] [m2]."""
     size = high - low
     index = np.arange(count)  # on the host: a multiple of the golden ratio soon fills the digits of float32
     along, across = as_float((index + 0.5) / count), as_float((index * GOLDEN + 0.5) % 1)
     projected = jnp.abs(toward) * jnp.prod(size) / size
-    shares = lax.stop_gradient(projected / jnp.sum(projected))
+    shares = projected / jnp.sum(projected)
     origin, area, begin = jnp.zeros((count, 3), size.dtype), jnp.zeros(count, size.dtype), as_float(0.0)
     for axis in range(3):  # the three faces side by side, each as wide as its share of the outline
         share = shares[axis]
@@ -101,5 +93,5 @@ def entering(
         origin = jnp.where(here[:, None], own, origin)
         area = jnp.where(here, projected[axis] / (jnp.where(share > 0, share, 1) * count), area)
         begin = begin + share
-    start = origin + low[None]
+    start = origin + (low + BEFORE * jnp.max(size) * toward)[None]
     return Rays(start, jnp.broadcast_to(-toward, start.shape)), area

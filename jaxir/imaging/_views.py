@@ -24,8 +24,8 @@ from jaxir.imaging._chunks import (
     division,
     estimate_chunk,
     eye_outside,
-    image_of_all,
     parts_for,
+    whole_image,
 )
 from jaxir.imaging._devices import shared_by, stacked
 from jaxir.imaging._entry import path_doubts, require_parts
@@ -103,7 +103,7 @@ class Signature(eqx.Module):
         """
         contrast = jnp.abs(self.intensity) if self.contrast is None else self.contrast
         own = self.intensity, self.standard_error, contrast, self.spectral, self.truncation
-        return budget(*own, None, self.bands, self.asked, look)
+        return budget(*own, self.bands, self.asked, look)
 
     def meets(self, rtol: float | None = None, atol: float | None = None) -> Bool[np.ndarray, " view"]:
         """Whether every band of a view is within a tolerance, as `jaxir.signature` means it.
@@ -378,6 +378,6 @@ def view_intensity(shared: Shared, look: Look) -> tuple[Array, ...]:
     lit, camera, key = shared.lit, look.camera, jax.random.fold_in(shared.key, look.view)
     own = key, jnp.asarray(look.number, jnp.uint32), shared.strata, shared.method, parts_for()
     taken = Pass(aimed(lit, camera), camera, *own, components=shared.components, lacking=look.lacking)
-    image = image_of_all(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
+    image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
     parts = () if shared.components is None else (image.component_intensity(), image.component_error())
     return image.radiant_intensity(), image.intensity_error(), image.truncation, image.contrast(), *parts

@@ -1,12 +1,13 @@
-"""Roughly what shines where in a scene: where rays are worth most, before any is traced.
+"""Roughly what shines where in a scene: where rays are worth most, before any is traced, and what no ray will see.
 
 Skin counts with its own emission and what it would scatter of unhidden lights without extent, a plume with its
 emission, dimmed by itself as a layer as deep as the plume is wide. Nothing hides anything. Estimates may be as rough as
-this, because they only place rays.
+this where they place rays; what lies beyond a frame tells the order of an error.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -21,8 +22,10 @@ from jaxir._programs import program
 from jaxir.geometry import Brightness, Camera, Rays, graded_camera
 from jaxir.geometry.search import any_hit, face_normal
 from jaxir.scene import Lit
+from jaxir.scene.light import AbstractExtendedLight
 
 PROJECTED = 2**16  # points of faces, but at least four of each
+SKY = 3  # directions squared in which lights with an extent are looked for
 VIEWS = 64  # whose cameras are made by one program, however many of them are wanted
 
 
@@ -45,7 +48,8 @@ def _shining(lit: Lit, behind: Float[Array, " node"] | None = None) -> _Shining:
     if lit.scene.skin is not None:
         mesh = lit.scene.skin.mesh
         corners = mesh.vertices[mesh.faces]
-        radiance = lit.nodes.in_band(_of_skin(lit, corners, behind))
+        normal = face_normal(mesh, jnp.arange(mesh.count, dtype=jnp.int32))
+        radiance = lit.nodes.in_band(_of_skin(lit, _irradiance(lit, corners.mean(axis=1), normal), behind))
     if lit.medium is not None:
         ends, radius, emitted = lit.medium.capsules()
         intensity = lit.nodes.in_band(emitted)
@@ -61,33 +65,53 @@ def brightness(lit: Lit) -> Brightness:
     return Brightness(corners, matmul(radiance, share), ends, radius, matmul(intensity, share))
 
 
-def share_outside(lit: Lit, camera: Camera) -> Float[Array, " band"]:
-    """About the share of a scene's intensity that a camera's frame leaves out [band]; without derivatives.
+@program
+def beyond_frame(lit: Lit, camera: Camera) -> Float[Array, " band"]:
+    """About the intensity of what a camera's frame leaves out of a scene [band] [W sr-1]; without derivatives.
 
-    Of every face that looks at the eye the centres of four pieces or, of few faces, of more are projected, of every
-    capsule of a plume its middle and points towards the ends. Nothing hides anything.
+    In contrast to what is behind the scene, whatever its sign. Of every face, its backs too where it is open, the
+    centres of four pieces or, of few faces, of more are projected, of every capsule of a plume its middle and points
+    towards the ends. Lights with an extent count with what `SKY`^2 directions tell of them. Nothing hides anything.
     """
-    shining, camera = _shining(lit), lax.stop_gradient(camera)
-    corners, radiance, ends, _, intensity = shining
-    vector = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    seen = jnp.maximum(dot(vector, camera.frame[2:]), 0)[:, None] * radiance
-    of_faces, of_capsules = _beyond(corners, ends, camera)
-    total = jnp.sum(seen, axis=0) + jnp.sum(intensity, axis=0)
-    left_out = matmul(of_faces, seen) + matmul(of_capsules, intensity)
-    return left_out / jnp.where(total > 0, total, 1)
+    lit, camera = lax.stop_gradient((lit, camera))
+    left_out = jnp.zeros(lit.nodes.response.shape[0], lit.nodes.weight.dtype)
+    if lit.medium is not None:
+        ends, _, emitted = lit.medium.capsules()
+        left_out = matmul(_capsules_beyond(ends, camera), lit.nodes.in_band(lit.dimmed_by_air(emitted)))
+    if lit.scene.skin is None:
+        return left_out
+    mesh = lit.scene.skin.mesh
+    corners = mesh.corners()
+    centre, vector = corners.mean(axis=1), mesh.area_vectors()
+    height = matmul(centre - camera.target[None], camera.frame[2])
+    facing = dot(vector, camera.frame[2][None] - (centre - camera.target[None]) * camera.inverse_range)
+    shown = jnp.maximum(facing, 0) if mesh.closed else jnp.abs(facing)
+    shown = shown / ((1 - height * camera.inverse_range) ** 3 * camera.slant(camera.project(centre)) ** 2)
+    size = jnp.linalg.norm(vector, axis=1, keepdims=True)
+    normal = vector / jnp.where(size > 0, size, 1) * jnp.where(facing < 0, -1, 1)[:, None]
+    irradiance = _irradiance(lit, centre, normal) + _from_all_around(lit, centre, normal)
+    contrast = _of_skin(lit, irradiance, None) - lit.background(-camera.frame[2])[None]
+    each = jnp.abs(lit.nodes.in_band(lit.dimmed_by_air(contrast)))
+    return left_out + matmul(_faces_beyond(corners, camera) * shown, each)
 
 
-def _beyond(corners: Array, ends: Array, camera: Camera) -> tuple[Float[Array, " face"], Float[Array, " capsule"]]:
-    """About the shares of faces and capsules that lie beyond a camera's frame."""
-    half = camera.half_size() * (1 + 1e-3)
+def _faces_beyond(corners: Float[Array, "face 3 3"], camera: Camera) -> Float[Array, " face"]:
+    """About the shares of faces that lie beyond a camera's frame."""
+    pieces = int(min(max((PROJECTED / max(len(corners), 1)) ** 0.5, 2), 16))
+    return _beyond(einsum("pc,fck->fpk", jnp.asarray(_centres(pieces), corners.dtype), corners), camera)
 
-    def beyond(point: Float[Array, "part point 3"]) -> Float[Array, " part"]:
-        out = jnp.any(jnp.abs(camera.project(point)) > half[None, None], axis=-1)
-        return jnp.mean(out.astype(point.dtype), axis=-1)
 
-    place = jnp.asarray(_centres(int(min(max((PROJECTED / max(len(corners), 1)) ** 0.5, 2), 16))), corners.dtype)
+def _capsules_beyond(ends: Float[Array, "capsule 2 3"], camera: Camera) -> Float[Array, " capsule"]:
+    """About the shares of capsules that lie beyond a camera's frame."""
     along = jnp.asarray([0.1, 0.3, 0.5, 0.7, 0.9], ends.dtype)[None, :, None]
-    return beyond(einsum("pc,fck->fpk", place, corners)), beyond(ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]))
+    return _beyond(ends[:, :1] + along * (ends[:, 1:] - ends[:, :1]), camera)
+
+
+def _beyond(points: Float[Array, "part point 3"], camera: Camera) -> Float[Array, " part"]:
+    """Shares of points that lie beyond a camera's frame."""
+    half = camera.half_size() * (1 + 1e-3)
+    out = jnp.any(jnp.abs(camera.project(points)) > half[None, None], axis=-1)
+    return jnp.mean(out.astype(points.dtype), axis=-1)
 
 
 @program
@@ -117,7 +141,7 @@ def patch_that_shines(lit: Lit, camera: Camera, in_sight: Bool[Array, " face"] |
     if in_sight is not None:
         of_faces = jnp.where(in_sight, of_faces, 0)
     long = jnp.linalg.norm(camera.project(ends[:, 1]) - camera.project(ends[:, 0]), axis=-1)
-    inside = 1 - jnp.concatenate(_beyond(corners, ends, camera))
+    inside = 1 - jnp.concatenate([_faces_beyond(corners, camera), _capsules_beyond(ends, camera)])
     area = jnp.concatenate([of_faces, radius * (np.pi * radius + 2 * long)]) * inside
     # as shares of the brightest: squares of what is faint underflow
     each = jnp.concatenate([jnp.abs(radiance) * of_faces[:, None], intensity]) * inside[:, None]
@@ -193,18 +217,41 @@ def _cameras(outlook: _Outlook, aspect: Float[Array, "view 2"], wanted: Bool[Arr
     return lax.map(lambda one: lax.cond(one[1], camera, lambda _: none, one[0]), (aspect, wanted))
 
 
-def _of_skin(lit: Lit, corners: Float[Array, "face 3 3"], behind: Array | None) -> Float[Array, "face node"]:
+def _of_skin(lit: Lit, irradiance: Float[Array, "face node"], behind: Array | None) -> Float[Array, "face node"]:
     """Radiance of every face, as if a Lambert one; in contrast to what is `behind` it and as bright before it."""
     skin = lit.scene.skin
     assert skin is not None and lit.blackbody is not None
-    face = jnp.arange(skin.mesh.count, dtype=jnp.int32)
     one = as_float(1.0)
-    emissivity = jax.vmap(lambda b: b.directional_emissivity(one))(skin.brdf.at(face))
-    centre, normal = corners.mean(axis=1), face_normal(skin.mesh, face)
-    irradiance = jnp.zeros_like(lit.blackbody)
-    for source in lit.scene.delta_sources:
-        toward, _ = jax.vmap(source.toward)(centre)
-        beam = jax.vmap(lambda p, source=source: source.beam(p))(centre)
-        irradiance = irradiance + jnp.maximum(jnp.sum(toward * normal, axis=1), 0)[:, None] * beam
+    own = skin.brdf.at(jnp.arange(skin.mesh.count, dtype=jnp.int32))
+    emissivity = jax.vmap(lambda b: b.directional_emissivity(one))(own)
     emitted = lit.blackbody if behind is None else lit.blackbody - behind[None]
     return emissivity * emitted + (1 - emissivity) * irradiance / np.pi
+
+
+def _irradiance(lit: Lit, point: Float[Array, "face 3"], normal: Float[Array, "face 3"]) -> Float[Array, "face node"]:
+    """Of sources without extent, on surfaces."""
+    total = jnp.zeros((point.shape[0], lit.nodes.count), point.dtype)
+    for source in lit.scene.delta_sources:
+        toward, _ = jax.vmap(source.toward)(point)
+        total = total + jnp.maximum(dot(toward, normal), 0)[:, None] * jax.vmap(source.beam)(point)
+    return total
+
+
+def _from_all_around(
+    lit: Lit, point: Float[Array, "face 3"], normal: Float[Array, "face 3"]
+) -> Float[Array, "face node"]:
+    """Irradiance of lights with an extent, by the mean over `SKY`^2 of their samples."""
+    place = (np.indices((SKY, SKY)).reshape(2, -1).T + 0.5) / SKY
+    total = jnp.zeros((point.shape[0], lit.nodes.count), point.dtype)
+    for light in lit.scene.extended_lights:
+
+        def arriving(u: Array, point: Array, normal: Array, light: AbstractExtendedLight = light) -> Array:
+            arrival = light.sample(u, point, normal)
+            cosine = jnp.where(arrival.pdf > 0, jnp.maximum(dot(arrival.omega_i, normal), 0), 0)
+            return light.arriving(arrival.omega_i) * cosine / jnp.where(arrival.pdf > 0, arrival.pdf, 1)
+
+        def add(total: Array, u: Array, arriving: Callable[..., Array] = arriving) -> tuple[Array, None]:
+            return total + jax.vmap(arriving, in_axes=(None, 0, 0))(u, point, normal) / SKY**2, None
+
+        total = lax.scan(add, total, as_float(place))[0]
+    return total

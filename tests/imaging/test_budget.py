@@ -157,11 +157,56 @@ def test_what_lies_beyond_the_frame_is_told(seen):
     assert float(errors.total[0]) >= told
 
 
-def test_of_a_scene_beside_the_frame_nothing_is_known():
+def test_of_a_scene_beside_the_frame_all_is_told():
     scene = jaxir.Scene(jaxir.Skin(box_mesh((8.0, 0.5, 0.5)), 400.0, jaxir.Lambert(0.8)))
     beside = jaxir.orthographic_camera(90.0, 0.0, (8.1 / 64, 0.6 / 16), (16, 64), (0.0, 0.0, 50.0))
     errors = jaxir.render(scene, beside, LWIR, samples=2).error_budget()
-    assert float(errors.intensity[0]) == 0 and np.isinf(errors.outside[0]) and np.isinf(errors.total[0])
+    assert float(errors.intensity[0]) == 0 and np.isinf(errors.shares(errors.outside)[0])
+    np.testing.assert_allclose(errors.outside, 1.25 * 4.0 * 0.8 * black(400.0), rtol=1e-4)
+
+
+def _boxes(middles, emissivity=0.9, kelvin=300.0):
+    """Cubes of 1 m at places along y."""
+    box = box_mesh()
+    vertices = np.concatenate([np.asarray(box.vertices) + [0.0, y, 0.0] for y in middles])
+    faces = np.concatenate([np.asarray(box.faces) + 8 * k for k in range(len(middles))])
+    brdf = jaxir.Lambert(np.repeat(np.broadcast_to(emissivity, len(middles)), 12)[:, None])
+    return jaxir.Skin(jaxir.Mesh(vertices, faces), np.repeat(np.broadcast_to(kelvin, len(middles)), 12), brdf)
+
+
+def _cut_off():
+    """Scenes of which the frame leaves out what the place of the middle decides, and how far told may be beyond."""
+    around, cold = jaxir.BlackbodyBackground(300.0), (302.0, 500.0)
+    yield "warm before as warm a background, hot beyond", jaxir.Scene(_boxes((0, 5), 0.9, cold), background=around), 1.4
+    lit = _boxes((0, 5), (0.9, 0.05), 200.0)
+    yield "a mirror of warm surroundings", jaxir.Scene(lit, sources=jaxir.BlackbodyBackground(320.0)), 1.4
+    disc = jaxir.DiscSource((3.0, 5.0, 0.0), (-1.0, 0.0, 0.0), 1.0, 300.0)
+    yield "a lamp", jaxir.Scene(_boxes((0, 5), 0.5, 100.0), sources=disc), 1.6
+    back = jaxir.Mesh([[0.0, 4, -0.5], [0, 5, -0.5], [0, 5, 0.5], [0, 4, 0.5]], [[0, 2, 1], [0, 3, 2]])
+    yield "backs", jaxir.Scene(jaxir.Skin(back, 400.0, jaxir.Lambert(0.8))), 1.4
+    hot = jaxir.GridPlume(jaxir.Grid((-4.0, -1.0, -1.0), (1.0, 0.5, 0.5), (2, 14, 4)), 900.0, jaxir.GrayGas(0.3))
+    yield "most of a plume is hidden in the frame", jaxir.Scene(_boxes((0,)), hot), 2.5
+
+
+CUT_OFF = {name: (scene, most) for name, scene, most in _cut_off()}
+
+
+@pytest.mark.parametrize("distance", [np.inf, 8.0])
+@pytest.mark.parametrize("name", CUT_OFF)
+def test_what_the_frame_leaves_out_is_told_whatever_is_in_it(name, distance):
+    """As a share of what was seen it was told up to 130 times too small, or as nothing."""
+    scene, most = CUT_OFF[name]
+
+    def frame(columns):
+        if np.isinf(distance):
+            return jaxir.orthographic_camera(0.0, 0.0, 0.125, (16, columns))
+        return jaxir.perspective_camera(0.0, 0.0, distance, 0.125 / distance, (16, columns))
+
+    method = jaxir.Method(bounces=1)
+    errors = jaxir.render(scene, frame(16), (MWIR, LWIR), samples=8, method=method).error_budget(look=False)
+    whole = jaxir.render(scene, frame(160), (MWIR, LWIR), samples=8, method=method).radiant_intensity()
+    missing, told = np.abs(np.asarray(whole - errors.intensity)), np.asarray(errors.outside)
+    assert (told > missing).all() and (told < 1.25 * most * missing).all(), told / missing
 
 
 @pytest.mark.parametrize("azimuth, most", [(90.0, 1e-2), (178.0, 0.1)])  # from aside, and into the nozzle

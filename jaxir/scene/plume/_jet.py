@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import Check, as_float, as_one_program, positive, thermal
 from jaxir._fields import count, quantity, require_part
-from jaxir._math import frame_around, matmul
+from jaxir._math import dot, frame_around, matmul
 from jaxir._plausible import KELVIN, doubt, usual
 from jaxir.geometry import Grid, Pieces, Rays, pdf_box
 from jaxir.medium import (
@@ -30,6 +30,7 @@ from jaxir.optics.spectrum import Nodes
 from jaxir.scene.plume._grid import GridPlume
 from jaxir.scene.plume._plume import AbstractPlume, Proposal, sample_between
 
+STRETCHED = 0.5  # of a jet's length, from which on rays follow its end
 SLABS, LEVELS = 10, 3  # pieces along the axis, and boxes within one another across it
 _SQUARE = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1]])  # corners of a square across the axis, 2 wide
 
@@ -145,6 +146,48 @@ class JetPlume(AbstractPlume):
         across, up = as_float(_SQUARE)[:, :, None]
         square = across * u[None] + up * v[None]
         return self.nozzle[None] + jnp.concatenate([near * square, end * w[None] + far * square])
+
+    def carried(self, rays: Rays) -> tuple[Rays, Float[Array, " ray"]]:
+        """See `AbstractPlume.carried`: as if drawn on a plane through the nozzle, along the axis or across it.
+
+        Beyond `STRETCHED` of the length they move on with the end. They neither grow with the jet nor stretch near its
+        nozzle: between hot edges that a ray crosses and areas that grow little would be left of much.
+        """
+        rays, held = lax.stop_gradient((rays, self))
+        own, was = self._plane(rays.direction[0]), held._plane(rays.direction[0])
+        first, second, end = was
+        normal = jnp.cross(first, second)
+        offset = rays.origin - held.nozzle[None]
+        depth = matmul(offset, normal) / dot(rays.direction[0], normal)
+        offset = offset - depth[:, None] * rays.direction
+        a, b = matmul(offset, first), matmul(offset, second)
+        share = jnp.clip(a / jnp.where(end > 0, end, 1) - STRETCHED, 0, 1 - STRETCHED) / (1 - STRETCHED)
+        share = jnp.where(end > 0, share, 0)
+        further = jnp.where(
+            (share > 0) & (share < 1), (own[2] - end) / ((1 - STRETCHED) * jnp.where(end > 0, end, 1)), 0
+        )
+
+        def area(plane: tuple[Array, Array, Array]) -> Array:
+            return jnp.abs(dot(jnp.cross(plane[0], plane[1]), rays.direction[0]))
+
+        def place(plane: tuple[Array, Array, Array], jet: JetPlume) -> Array:
+            return (
+                jet.nozzle[None]
+                + (a + share * (plane[2] - end))[:, None] * plane[0][None]
+                + b[:, None] * plane[1][None]
+            )
+
+        moved = place(own, self) - place(was, held)
+        return Rays(rays.origin + moved, rays.direction), (1 + further) * area(own) / area(was)
+
+    def _plane(self, toward: Float[Array, " 3"]) -> tuple[Array, Array, Array]:
+        """Two directions of a plane that rays cross steeply, and where along the first the jet ends; 0 across it."""
+        u, v, w = frame_around(self.direction)
+        beside = jnp.cross(w, toward)
+        square = dot(beside, beside)
+        along = lax.stop_gradient(square) > 0.25
+        beside = beside * lax.rsqrt(jnp.where(along, square, 1))
+        return jnp.where(along, w, u), jnp.where(along, beside, v), jnp.where(along, self.shape.end, 0)
 
     def medium(self, nodes: Nodes) -> JetMedium:
         """See `AbstractPlume.medium`. Differentiable in the jet's fields."""

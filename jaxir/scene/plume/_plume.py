@@ -84,6 +84,14 @@ class AbstractPlume(Physical):
             forced: rays that are scattered for certain if they cross particles; the others may pass [ray].
         """
 
+    def carried(self, rays: Rays) -> tuple[Rays, Float[Array, " ray"]]:
+        """Parallel rays, where they are, that move with the plume under differentiation, and what areas grow by.
+
+        So that none goes over to another side of where the plume ends; a sum over rays that stay lacks what that adds.
+        By default they stay.
+        """
+        return rays, jnp.ones(rays.count, rays.origin.dtype)
+
     def thinned(self) -> AbstractPlume:
         """About the same plume, made of few parts where it is made of many: enough to choose spectral nodes with."""
         return self
