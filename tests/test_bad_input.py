@@ -80,6 +80,10 @@ def _render(scene, camera=None, bands=jaxir.MWIR, **more):
             "Camera: .* expected less than 1: an eye outside the scene's bounding sphere",
         ),
         (lambda: _render(jaxir.Scene(_skin()), samples=3), "samples: got 3, expected an even number"),
+        (
+            lambda: _render(jaxir.Scene(_skin()), rtol=0.1, max_samples=0),
+            "max_samples: got 0, expected an integer >= 1",
+        ),
         (lambda: jaxir.signature(jaxir.Scene(_skin()), [0.0, 1.0], jaxir.MWIR), r"views: got shape \(2,\)"),
         (
             lambda: jaxir.unoccluded_intensity(jaxir.Scene(_skin(), _plume()), 0.0, 0.0, jaxir.MWIR),

@@ -307,6 +307,16 @@ def test_show_refuses_what_render_and_signature_would(text, message, tmp_path, c
     assert said.count("\n") == 1 and re.search(f"^jaxir: .*scene.toml: .*{message}", said), said
 
 
+def test_show_looks_at_the_file_that_render_takes_beside_its_states(tmp_path, capsys):
+    text = (
+        TEXT.replace("temperature = 300.0", "temperature = 1e30")
+        + "[over.t]\nvalues = [300]\nkeys = ['skin.temperature']"
+    )
+    assert "1e30" in text
+    assert main(["show", str(write_scene(tmp_path, text))]) == 1
+    assert "Skin.temperature: got 1e+30" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("part", "covers"),
     [

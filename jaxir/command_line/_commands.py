@@ -228,6 +228,7 @@ def show_command(arguments: argparse.Namespace) -> None:
     require_targets(read.file, outputs, [""], [""])
     if "views" in read.signature:
         refuse_shared(read)
+    naming(read, partial(check, read, cameras=True, views=True))  # as commands take it that know no states
     naming(read, partial(check_states, read))
     print(read.describe())
     if outputs:

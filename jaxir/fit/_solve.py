@@ -18,6 +18,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import as_float
+from jaxir._fields import require_count
 from jaxir._programs import program
 from jaxir.fit._measurement import Measurement
 from jaxir.fit._parameter import AbstractParameter, Coordinates, at_bounds, at_values
@@ -106,8 +107,7 @@ def solve(
             f"expected at least as many; add views, bands or priors"
         )
     for name, count, least in (("max_steps", max_steps, 1), ("rounds", rounds, 1), ("max_samples", max_samples, 2)):
-        if not isinstance(count, int) or count < least:
-            raise ValueError(f"{name}: got {count}, expected an integer >= {least}")
+        require_count(name, count, least)
     begin = _starts(coordinates, starts)
     size = None if solver is None else _effect(problem, begin[0])
     losses = np.zeros(0)

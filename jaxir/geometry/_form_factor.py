@@ -22,7 +22,7 @@ def disc_vector(
     """Vector form factor of a disc that emits on the side of its normal; 0 behind it.
 
     With h the height of the point above the disc's plane, a its distance from the axis, S = h^2 + a^2 + r^2 and
-    D^2 = ((a - r)^2 + h^2)((a + r)^2 + h^2),
+    D^2 = ((a - r)^2 + h^2)((a + r)^2 + h^2) = (a^2 - r^2)^2 + h^2 (2 a^2 + 2 r^2 + h^2),
 
         along the axis  1/2 [1 - (h^2 + a^2 - r^2) / D] = 2 r^2 h^2 / (D (D + h^2 + a^2 - r^2)),
         across it       (h / 2a) [S / D - 1]           = 2 r^2 h a / (D (D + S)),
@@ -45,9 +45,7 @@ def disc_vector(
     h = dot(offset, normal)
     radial = offset - h * normal
     square = dot(radial, radial)
-    beside = square > 0
-    a = jnp.where(beside, jnp.sqrt(jnp.where(beside, square, 1)), 0)
-    product = ((a - radius) ** 2 + h * h) * ((a + radius) ** 2 + h * h)
+    product = (square - radius * radius) ** 2 + h * h * (2 * square + 2 * radius * radius + h * h)
     lit = (h > 0) & (product > 0)
     d = jnp.sqrt(jnp.where(lit, product, 1))
     excess = (h * h + square) - radius * radius

@@ -23,6 +23,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Int
 
+from jaxir._fields import require_count
 from jaxir.imaging._devices import item_by_item
 from jaxir.imaging._tolerance import FIRST, Goal, Tolerance, seconds_of, tolerance_of
 
@@ -64,6 +65,7 @@ def repeats(
     Raises:
         ValueError: as `tolerance_of` and `seconds_of`; fewer rays at most than those of one look.
     """
+    require_count("max_samples", max_samples)
     tolerance = tolerance_of(rtol, atol)
     seconds = seconds_of(max_seconds, "rtol or atol", tolerance is not None)
     if tolerance is None:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxir._arrays import float_dtype
+from jaxir._fields import require_count
 from jaxir.imaging._image import Image
 
 LEAST = 8  # units of the last place: a relative tolerance below is beyond the precision in force
@@ -122,6 +123,7 @@ def goal_of(
     Raises:
         ValueError: as `tolerance_of`, of `pixel_rtol` too, and as `seconds_of`.
     """
+    require_count("max_samples", max_samples)
     tolerance = tolerance_of(rtol, atol)
     if pixel_rtol is not None:
         require_rtol(pixel_rtol, "pixel_rtol")

@@ -53,6 +53,12 @@ def test_disc_over_a_tilted_element(x64):
     np.testing.assert_allclose(disc(h, a, r), vector, rtol=1e-10, atol=1e-15)
 
 
+def test_second_derivatives_on_the_axis_of_a_disc(x64):
+    """With D^2 in a^2, F = [1 - (h^2 - r^2 + a^2) / D] / 2 has the slope -.256 in a^2 at h = 1, r = .5."""
+    of_offset = jax.hessian(lambda xy: disc_vector(jnp.zeros(3), jnp.stack([*xy, 1.0]), jnp.asarray(-UP), 0.5)[2])
+    np.testing.assert_allclose(of_offset(jnp.zeros(2)), -0.512 * np.eye(2), rtol=1e-12, atol=1e-15)
+
+
 def test_disc_behind_and_on_its_rim(precision):
     below = disc_vector(jnp.zeros(3), jnp.asarray([0.0, 0.0, 1.0]), jnp.asarray(UP), jnp.asarray(1.0))
     assert np.all(np.asarray(below) == 0)

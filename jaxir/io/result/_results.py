@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxir._fields import require_part
 from jaxir.imaging import ErrorBudget, Image, Signature
 from jaxir.io._files import labels, written_whole
 
@@ -65,6 +66,7 @@ def save_image(
         ValueError: another ending, or a folder that does not exist.
     """
     require_suffix(path, ".npz")
+    require_part("image", image, Image, "an image, of jaxir.render")
     more: dict[str, Any] = {} if errors is None else {"intensity": np.asarray(errors.intensity), **_columns(errors)}
     if image.parts is not None:
         more |= {"components": np.array(image.components), **_split(image)}
@@ -102,6 +104,7 @@ def save_tiff(path: str | os.PathLike, image: Image, conditions: Conditions | No
     except ImportError as error:
         raise ImportError('writing TIFF needs tifffile: pip install "jaxir[image]"') from error
     require_suffix(path, ".tif", ".tiff")
+    require_part("image", image, Image, "an image, of jaxir.render")
     radiance = np.asarray(image.radiance, np.float32)
     said = "".join(f"; {name}: {value}" for name, value in (conditions or {}).items())
     with written_whole(path) as part, tifffile.TiffWriter(part) as writer:
@@ -213,6 +216,7 @@ def save_signature(
         ValueError: another ending than .csv, a folder that does not exist, or bands whose columns have one name.
     """
     require_suffix(path, ".csv")
+    require_part("signature", signature, Signature, "a signature, of jaxir.signature")
     others = {name: values for name, values in _columns(errors).items() if name != "sampling_error"}
     named = {"": signature.intensity, "standard_error_": signature.standard_error}
     named |= {f"{name}_": values for name, values in others.items()}

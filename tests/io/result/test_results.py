@@ -1,6 +1,7 @@
 """Images and tables: every format read back, nothing half written."""
 
 import dataclasses
+import inspect
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -116,4 +117,15 @@ def test_nothing_is_left_of_a_failed_write(save, image, tmp_path):
         save(tmp_path / "image.png", image)
     with pytest.raises(ValueError, match="does not exist"):
         save(tmp_path / "absent" / ("image.npz" if save is save_image else "image.tif"), image)
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_of_another_kind_are_refused(image, tmp_path):
+    """By users' processes, whose types nobody checks."""
+    as_image, as_tiff, as_table = map(inspect.unwrap, (save_image, save_tiff, save_signature))
+    for save, name in ((as_image, "a.npz"), (as_tiff, "a.tif")):
+        with pytest.raises(ValueError, match="image: got 3, expected an image, of jaxir.render"):
+            save(tmp_path / name, 3)
+    with pytest.raises(ValueError, match="signature: got a Image, expected a signature, of jaxir.signature"):
+        as_table(tmp_path / "a.csv", image)
     assert not list(tmp_path.iterdir())
