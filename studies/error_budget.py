@@ -148,6 +148,8 @@ def cases() -> Iterator[Case]:
     yield Case("cut box", whole, (90.0, 0.0), camera=cut(whole, 0.7))
     whole = Scene(skin(BODY, 0.8), plume(1.0))
     yield Case("cut body and plume", whole, (90.0, 0.0), camera=cut(whole, 0.75))
+    whole = Scene(skin(BOX, 0.8), plume(1.0), background=jaxir.BlackbodyBackground(300.0))
+    yield Case("as warm a sky, plume cut off", whole, (90.0, 0.0), camera=cut(whole, 0.5))
     for depth, albedo, orders in ((1.0, 0.8, 10), (1.0, 0.8, 2), (4.0, 0.9, 4)):
         cloud = Scene(plumes=plume(0.05, 800.0, soot(depth, albedo)), sources=(SUN,))
         name = f"cloud {depth:g}, sun, {orders} orders"

@@ -228,8 +228,9 @@ def show_command(arguments: argparse.Namespace) -> None:
     require_targets(read.file, outputs, [""], [""])
     if "views" in read.signature:
         refuse_shared(read)
-    naming(read, partial(check, read, cameras=True, views=True))  # as commands take it that know no states
     naming(read, partial(check_states, read))
+    if read.states is not None:  # other commands take the file without them
+        naming(read, partial(check, read, cameras=True, views=True))
     print(read.describe())
     if outputs:
         write(SHOW_FORMATS, outputs, plot.scene_view(read.scene, read.cameras, arguments.colour))

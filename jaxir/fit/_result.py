@@ -94,8 +94,7 @@ def uncertainty(
     j = np.asarray(jacobian, np.float64)
     count = j.shape[1]
     j = np.concatenate([j, np.zeros((max(0, count - j.shape[0]), count))])
-    size = np.linalg.norm(j, axis=0)
-    size = np.where(size > 0, size, 1)  # rounding is relative to columns, whatever their units
+    size = column_norms(j)
     _, s, v = np.linalg.svd(j / size, full_matrices=False)
     blind = s <= 30 * np.finfo(np.asarray(jacobian).dtype).eps * max(s[0], 1e-300)
     seen = np.where(blind, 0.0, s)
@@ -120,6 +119,12 @@ def uncertainty(
         jnp.asarray(s, value.dtype),
         jnp.asarray(v, value.dtype),
     )
+
+
+def column_norms(jacobian: Float[np.ndarray, "row p"]) -> Float[np.ndarray, " p"]:
+    """By which columns are divided before they are compared, as rounding is relative to each; 1 of empty ones."""
+    size = np.linalg.norm(jacobian, axis=0)
+    return np.where(size > 0, size, 1)
 
 
 class Fit(eqx.Module):

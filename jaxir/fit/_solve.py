@@ -26,7 +26,7 @@ from jaxir.fit._prepare import prepare, retraced
 from jaxir.fit._prior import AbstractPrior
 from jaxir.fit._problem import Problem
 from jaxir.fit._profile import reach_of_open_directions
-from jaxir.fit._result import Fit, Uncertainty, uncertainty
+from jaxir.fit._result import Fit, Uncertainty, column_norms, uncertainty
 from jaxir.fit._surrogate import applies, lead
 from jaxir.fit._walk import linearised, reach
 from jaxir.scene import Scene
@@ -267,8 +267,7 @@ def _propagated(jacobian: Array, errors: tuple[Array, ...]) -> np.ndarray:
     An error moves the solution by J^+ e, its bands together because they share rays. In double precision on the host.
     """
     own = np.asarray(jacobian, np.float64)
-    size = np.linalg.norm(own, axis=0)
-    size = np.where(size > 0, size, 1)  # whatever the parameters' units
+    size = column_norms(own)
     inverse = np.linalg.pinv(own / size, rcond=1e-6) / size[:, None]
     squares, begin = [], 0
     for error in errors:

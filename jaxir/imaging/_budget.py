@@ -136,12 +136,14 @@ def budget(
     is found where it is known what was `asked`, by rays only with `look`.
     """
     left_out = _product(jnp.abs(intensity), truncation)
-    quadrature = bounces = outside = None
+    of_views = intensity.ndim > 1
+    outside = jnp.zeros_like(intensity) if of_views else None  # their frames hold the scene
+    quadrature = bounces = None
     if asked is not None and not isinstance(intensity, jax.core.Tracer):
         spectral = asked.spectral(look) if spectral is None else spectral
-        quadrature, outside = asked.quadrature(look), ROUGH * asked.outside()
-        of_worst_view = intensity.ndim > 1
-        if asked.left is None or (look and of_worst_view):
+        quadrature = asked.quadrature(look)
+        outside = ROUGH * asked.outside() if outside is None else outside
+        if asked.left is None or (look and of_views):  # what is known is of the worst view
             bounces = asked.bounces(look)
         else:
             bounces = _product(jnp.abs(intensity), asked.left)

@@ -78,10 +78,8 @@ class Asked(eqx.Module):
             found = left_out(on_nodes(self.scene, self.nodes), self._views(), _further(self.method, 0))
             return self._by_view(found[:, 0])
 
-    def outside(self) -> Float[Array, "*view band"]:
-        """What `beyond_frame` finds [*view, band] [W sr-1]; 0 of views, whose frames hold the scene."""
-        if self.cameras.frame.ndim > 2:
-            return self._none()
+    def outside(self) -> Float[Array, " band"]:
+        """What `beyond_frame` finds of an image [band] [W sr-1]."""
         with evaluated_now():
             return beyond_frame(on_nodes(self.scene, self.nodes), self.cameras)
 
