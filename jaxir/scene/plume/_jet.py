@@ -31,6 +31,7 @@ from jaxir.scene.plume._grid import GridPlume
 from jaxir.scene.plume._plume import AbstractPlume, Proposal, sample_between
 
 STRETCHED = 0.5  # of a jet's length, from which on rays follow its end
+CORE = 6  # diameters, about the length of a core: so far rays follow the lip, and less and less as far again
 SLABS, LEVELS = 10, 3  # pieces along the axis, and boxes within one another across it
 _SQUARE = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1]])  # corners of a square across the axis, 2 wide
 
@@ -150,8 +151,8 @@ class JetPlume(AbstractPlume):
     def carried(self, rays: Rays) -> tuple[Rays, Float[Array, " ray"]]:
         """See `AbstractPlume.carried`: as if drawn on a plane through the nozzle, along the axis or across it.
 
-        Beyond `STRETCHED` of the length they move on with the end. They neither grow with the jet nor stretch near its
-        nozzle: between hot edges that a ray crosses and areas that grow little would be left of much.
+        Beyond `STRETCHED` of the length they move on with the end, and near the lip with that. Elsewhere they neither
+        grow with the jet nor stretch: between hot edges that a ray crosses and areas that grow little is left of much.
         """
         rays, held = lax.stop_gradient((rays, self))
         own, was = self._plane(rays.direction[0]), held._plane(rays.direction[0])
@@ -161,24 +162,25 @@ class JetPlume(AbstractPlume):
         depth = matmul(offset, normal) / dot(rays.direction[0], normal)
         offset = offset - depth[:, None] * rays.direction
         a, b = matmul(offset, first), matmul(offset, second)
-        share = jnp.clip(a / jnp.where(end > 0, end, 1) - STRETCHED, 0, 1 - STRETCHED) / (1 - STRETCHED)
-        share = jnp.where(end > 0, share, 0)
-        further = jnp.where(
-            (share > 0) & (share < 1), (own[2] - end) / ((1 - STRETCHED) * jnp.where(end > 0, end, 1)), 0
-        )
+
+        lengthwise, long = end > 0, jnp.where(end > 0, end, 1)
+        share = jnp.where(lengthwise, jnp.clip((a / long - STRETCHED) / (1 - STRETCHED), 0, 1), 0)
+        further = jnp.where((share > 0) & (share < 1), (own[2] - end) / ((1 - STRETCHED) * long), 0)
+        wider = self.diameter / held.diameter - 1  # nothing, with its derivative
+        away = jnp.sqrt(a * a + b * b) / held.diameter
+        near = jnp.where(lengthwise, jnp.clip(2 - a / (CORE * held.diameter), 0, 1), jnp.clip((3 - away) / 2, 0, 1))
+        falls = jnp.where((near > 0) & (near < 1), away / 2, 0)  # across it: how much sooner circles end to grow
+        in_first = jnp.where(lengthwise, 0, near * wider)
+        in_second = near * wider
 
         def area(plane: tuple[Array, Array, Array]) -> Array:
             return jnp.abs(dot(jnp.cross(plane[0], plane[1]), rays.direction[0]))
 
-        def place(plane: tuple[Array, Array, Array], jet: JetPlume) -> Array:
-            return (
-                jet.nozzle[None]
-                + (a + share * (plane[2] - end))[:, None] * plane[0][None]
-                + b[:, None] * plane[1][None]
-            )
-
-        moved = place(own, self) - place(was, held)
-        return Rays(rays.origin + moved, rays.direction), (1 + further) * area(own) / area(was)
+        place = self.nozzle[None] + (a * (1 + in_first) + share * (own[2] - end))[:, None] * own[0][None]
+        place = place + (b * (1 + in_second))[:, None] * own[1][None]
+        moved = place - (held.nozzle[None] + a[:, None] * first[None] + b[:, None] * second[None])
+        grown = (1 + further) * (1 + jnp.where(lengthwise, 0, (near - falls) * wider)) * (1 + in_second)
+        return Rays(rays.origin + moved, rays.direction), grown * area(own) / area(was)
 
     def _plane(self, toward: Float[Array, " 3"]) -> tuple[Array, Array, Array]:
         """Two directions of a plane that rays cross steeply, and where along the first the jet ends; 0 across it."""
