@@ -58,9 +58,13 @@ class Eye(NamedTuple):
     axis: Float[Array, " 3"]
     inverse_range: Float[Array, ""]
 
+    def away(self, point: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
+        """From points to the eye, in units of its range; its axis where that is infinite. Differentiable."""
+        return self.axis[None] - (point - self.target[None]) * self.inverse_range
+
     def toward(self, point: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
         """Unit vectors from points to the eye. Differentiable."""
-        away = self.axis[None] - (point - self.target[None]) * self.inverse_range
+        away = self.away(point)
         return away / safe_sqrt(dot(away, away))[:, None]
 
 
@@ -137,6 +141,14 @@ class Camera(eqx.Module):
     def slant(self, screen: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
         """1 + tan^2 of the angle from the axis to points of the screen [*batch, 2] [m]; 1 in an orthographic one."""
         return 1 + self.inverse_range**2 * jnp.sum(screen * screen, axis=-1)
+
+    def lessening(self, point: Float[Array, "point 3"]) -> Float[Array, " point"]:
+        """(1 - z / range)^3 (1 + tan^2)^2, z being heights over the target and tan that of angles off the axis.
+
+        A patch dA of normal n and radiance L sends L |n . `Eye.away`| dA / this of the intensity that pixels add up to.
+        """
+        height = matmul(point - self.target[None], self.frame[2])
+        return (1 - height * self.inverse_range) ** 3 * self.slant(self.project(point)) ** 2
 
     def rectangle(self, outline: Float[Array, "point 3"]) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
         """Lower and upper corner of what the rectangle about projected points fills of the frame [m]."""

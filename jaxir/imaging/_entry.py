@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from jaxir.scene import Scene
 from jaxir.transport import Method
 
 PATH = 0.1  # of the distance of an eye by which the path through the air may differ from it as a rule
-
+FEW = 64  # vertices that are looked at first
 MEET = 8  # rays through the rectangle about a target, of fewer of which none may meet it
 
 
@@ -47,12 +48,24 @@ def miss_doubts(scene: Scene, camera: Camera, samples: int) -> list[Check]:
     """
     if camera.grading is not None or is_traced((scene, camera)):
         return []
-    rays = samples * _pixels(camera, scene.skin.mesh.vertices) if scene.skin is not None else 0.0
-    if rays < MEET and scene.plumes:
-        rays = samples * _pixels(camera, _extent(scene))
+    rays = 0.0
+    for points in _more_and_more(scene):
+        rays = samples * _pixels(camera, points)
+        if rays >= MEET:
+            return []
     needed = MEET * samples / max(rays, np.finfo(float).tiny)
     expected = f"at least {needed:.2g} rays in pixels of which the target fills {rays / samples:.1g}, or rtol"
-    return [doubt("samples", lambda _: rays == 0 or rays >= MEET, expected, samples)]
+    return [doubt("samples", lambda _: rays == 0, expected, samples)]
+
+
+def _more_and_more(scene: Scene) -> Iterator[Any]:
+    """Points of a scene: few vertices, which are mostly enough, all of them, and those of plumes, too."""
+    if scene.skin is not None:
+        vertices = np.asarray(scene.skin.mesh.vertices)
+        yield vertices[:: -(-len(vertices) // FEW)]
+        yield vertices
+    if scene.plumes:
+        yield _extent(scene)
 
 
 @program

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, evaluated_now, placed
 from jaxir._concurrent import side_by_side
-from jaxir._math import matmul, safe_sqrt
+from jaxir._math import safe_sqrt
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.geometry.search import is_convex
@@ -192,7 +192,7 @@ def _beyond(asked: tuple[Lit, Method], view: tuple[Camera, Array]) -> Float[Arra
     shine = jnp.mean(glow / jnp.where(glow.max(axis=0) > 0, glow.max(axis=0), 1)[None], axis=1)
 
     for_place, for_paths = jax.random.split(jax.random.fold_in(jax.random.key(0), number))
-    eye = _to_eye(camera, corners.mean(axis=1))
+    eye = camera.eye.away(corners.mean(axis=1))
     facing = jnp.sum(vector * eye, axis=1)
     facing = jnp.maximum(facing, 0) if closed else jnp.abs(facing)
     drawn = facing * shine
@@ -209,10 +209,8 @@ def _beyond(asked: tuple[Lit, Method], view: tuple[Camera, Array]) -> Float[Arra
     paths = trace(lit.scene, rays, method, for_paths)
     half = camera.half_size()
     seen = (paths.face == face) & jnp.all(jnp.abs(screen) <= half[None], axis=1) & (facing[face] > 0)
-    height = matmul(point - camera.target[None], camera.frame[2])
-    slant = camera.slant(screen)
-    turned = jnp.abs(jnp.sum(vector[face] * _to_eye(camera, point), axis=1)) / jnp.where(seen, drawn[face], 1)
-    weight = jnp.where(seen, sums[-1] * turned / ((1 - height * camera.inverse_range) ** 3 * slant**2), 0)
+    turned = jnp.abs(jnp.sum(vector[face] * camera.eye.away(point), axis=1)) / jnp.where(seen, drawn[face], 1)
+    weight = jnp.where(seen, sums[-1] * turned / camera.lessening(point), 0)
     found = nodes.in_band(bounced(lit, paths, method.bounces + 1 - FURTHER)) * weight[None, :, None]
     most = jax.vmap(lambda own: own.directional_reflectance(as_float(0.5)))(skin.brdf.at(face))
     return _series(found, jnp.max(most))
@@ -222,11 +220,6 @@ def _sum(values: Array) -> Array:
     """The sum, or 1 where that is 0."""
     total = jnp.sum(values)
     return jnp.where(total > 0, total, 1)
-
-
-def _to_eye(camera: Camera, point: Float[Array, "point 3"]) -> Float[Array, "point 3"]:
-    """From points to the eye, in units of its range; the eye's direction at infinity [point, 3]."""
-    return camera.frame[2][None] - (point - camera.target[None]) * camera.inverse_range
 
 
 def _series(found: Float[Array, "bounce path band"], most: Float[Array, ""]) -> Float[Array, "bounce band"]:

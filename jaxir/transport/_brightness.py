@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float, is_traced, placed
-from jaxir._math import dot, einsum, matmul
+from jaxir._math import dot, einsum, matmul, safe_divide
 from jaxir._programs import program
 from jaxir.geometry import Brightness, Camera, Rays, graded_camera
 from jaxir.geometry.search import any_hit, face_normal
@@ -83,12 +83,10 @@ def beyond_frame(lit: Lit, camera: Camera) -> Float[Array, " band"]:
     mesh = lit.scene.skin.mesh
     corners = mesh.corners()
     centre, vector = corners.mean(axis=1), mesh.area_vectors()
-    height = matmul(centre - camera.target[None], camera.frame[2])
-    facing = dot(vector, camera.frame[2][None] - (centre - camera.target[None]) * camera.inverse_range)
-    shown = jnp.maximum(facing, 0) if mesh.closed else jnp.abs(facing)
-    shown = shown / ((1 - height * camera.inverse_range) ** 3 * camera.slant(camera.project(centre)) ** 2)
-    size = jnp.linalg.norm(vector, axis=1, keepdims=True)
-    normal = vector / jnp.where(size > 0, size, 1) * jnp.where(facing < 0, -1, 1)[:, None]
+    facing = dot(vector, camera.eye.away(centre))
+    shown = (jnp.maximum(facing, 0) if mesh.closed else jnp.abs(facing)) / camera.lessening(centre)
+    outwards = face_normal(mesh, jnp.arange(mesh.count, dtype=jnp.int32))
+    normal = outwards * jnp.where(facing < 0, -1, 1)[:, None]
     irradiance = _irradiance(lit, centre, normal) + _from_all_around(lit, centre, normal)
     contrast = _of_skin(lit, irradiance, None) - lit.background(-camera.frame[2])[None]
     each = jnp.abs(lit.nodes.in_band(lit.dimmed_by_air(contrast)))
@@ -158,8 +156,7 @@ def faces_in_sight(lit: Lit, camera: Camera) -> Bool[Array, " face"]:
     assert lit.scene.skin is not None
     mesh = lit.scene.skin.mesh
     centre = mesh.corners().mean(axis=1)
-    toward = camera.frame[2][None] + camera.inverse_range * (camera.target[None] - centre)
-    toward = toward / jnp.linalg.norm(toward, axis=1, keepdims=True)
+    toward = camera.eye.toward(centre)
     return ~any_hit(mesh, Rays(centre, toward), leaving=jnp.arange(mesh.count, dtype=jnp.int32))
 
 
@@ -247,8 +244,8 @@ def _from_all_around(
 
         def arriving(u: Array, point: Array, normal: Array, light: AbstractExtendedLight = light) -> Array:
             arrival = light.sample(u, point, normal)
-            cosine = jnp.where(arrival.pdf > 0, jnp.maximum(dot(arrival.omega_i, normal), 0), 0)
-            return light.arriving(arrival.omega_i) * cosine / jnp.where(arrival.pdf > 0, arrival.pdf, 1)
+            cosine = jnp.maximum(dot(arrival.omega_i, normal), 0)
+            return light.arriving(arrival.omega_i) * safe_divide(cosine, arrival.pdf)
 
         def add(total: Array, u: Array, arriving: Callable[..., Array] = arriving) -> tuple[Array, None]:
             return total + jax.vmap(arriving, in_axes=(None, 0, 0))(u, point, normal) / SKY**2, None
