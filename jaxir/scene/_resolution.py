@@ -29,10 +29,11 @@ from jaxir.optics.spectrum import (
     gray_nodes,
     padded_nodes,
     resolved_nodes,
+    some_of,
     with_error,
 )
 from jaxir.scene._probes import ACROSS, RAYS, across, behind, brought, draws, from_outside, joined, through, warmth
-from jaxir.scene._scene import Scene, on_nodes
+from jaxir.scene._scene import Lit, Scene, on_nodes
 from jaxir.scene.air import TableAtmosphere
 
 RTOL = 0.02  # of the in-band results of probing rays, against the finest nodes
@@ -54,8 +55,8 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
     it, before darkness and before skin; skin from its lowest to its highest temperature; lights; and what contrasts
     with the background. `Nodes.error` keeps what they err. Bands of at most `FEW_BINS` bins are compared with nodes of
     32 quantiles.
-    All candidates are tried by one program: coarser ones are padded with nodes of weight 0. A grid of more than some
-    thousand cells is probed on every few of them.
+    All candidates are tried by one program: coarser ones are padded with nodes of weight 0, the finest are tried in
+    parts. A grid of more than some thousand cells is probed on every few of them.
 
     Args:
         scene: the scene; where `jax.jit` has its values not yet, or `jax.vmap` has several, the resolution is
@@ -140,8 +141,9 @@ def nodes_error(scene: Scene, nodes: Nodes) -> Float[Array, " band"] | None:
     if not scene.has_spectrum:
         return jnp.zeros(len(response), nodes.weight.dtype)
     fine, coarse = finer_nodes(nodes), with_few_cells(scene)
+    together = max(fine.count, nodes.count)  # values for one count of nodes are refused on the other
     try:
-        finest, own = (_results(coarse, axis, max(fine.count, nodes.count)) for axis in (fine, nodes))
+        finest, own = (_results(coarse, axis, together) for axis in (fine, nodes))
     except ValueError:  # light or air given for each of the nodes
         return None
     return jnp.asarray(_apart(finest, own), nodes.weight.dtype)  # in units of what they find
@@ -152,8 +154,14 @@ def with_few_cells(scene: Scene) -> Scene:
     return eqx.tree_at(lambda s: s.plumes, scene, tuple(plume.thinned() for plume in scene.plumes))
 
 
-def _results(scene: Scene, nodes: Nodes, count: int) -> np.ndarray:
-    return np.asarray(_probed(scene, padded_nodes(nodes, count)), np.float64)
+def _results(scene: Scene, nodes: Nodes, together: int) -> np.ndarray:
+    """Sums over nodes, so many at a time, on nodes like those that `scene_nodes` returns: their programs serve."""
+    told, each = np.zeros(len(nodes.names)), []
+    for begin in range(0, nodes.count, together):
+        own = some_of(nodes, np.arange(begin, min(begin + together, nodes.count)))
+        lit = on_nodes(scene, with_error(padded_nodes(own, together), told))
+        each.append(np.asarray(_probed(scene, lit), np.float64))
+    return np.sum(each, axis=0)
 
 
 def _apart(results: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -202,11 +210,11 @@ def _narrow(bands: tuple[Band, ...]) -> bool:
 
 def _fewest(scene: Scene, candidates: list[Nodes], finest: Nodes) -> tuple[int, np.ndarray]:
     """`scene_nodes` of known values: which of `_candidates`, and its error [band]."""
-    coarse = with_few_cells(scene)
-    true = _results(coarse, finest, finest.count)
+    coarse, together = with_few_cells(scene), max(nodes.count for nodes in candidates)
+    true = _results(coarse, finest, together)
     errors: list[np.ndarray] = []
     for nodes in candidates:
-        errors.append(_apart(_results(coarse, nodes, finest.count), true))
+        errors.append(_apart(_results(coarse, nodes, together), true))
         if np.all(errors[-1] <= RTOL):
             break
     return len(errors) - 1, errors[-1]
@@ -220,13 +228,13 @@ def _value(leaf: Array) -> Array:
 
 
 @program
-def _probed(scene: Scene, nodes: Nodes) -> Float[Array, "2 result band"]:
+def _probed(scene: Scene, lit: Lit) -> Float[Array, "2 result band"]:
     """In-band radiances that may be seen of a scene, and what their errors are shares of: they may be differences.
 
     Means of rays through each plume in like directions, evenly spread and through what is hot, before darkness, before
     skin and less the background; skin, and skin less the background; lights.
     """
-    lit = on_nodes(scene, nodes)
+    nodes = lit.nodes
     dark = jnp.zeros((1, nodes.count), nodes.weight.dtype)
     warm = dark if scene.skin is None else warmth(scene.skin, nodes)
     around = () if lit.scene.background is None else (lit.scene.background,)
