@@ -135,6 +135,7 @@ def test_a_fit_s_report_names_its_parameters():
         bands=(("MWIR", "LWIR"),),
         robust=float("inf"),
         residual=residual,
+        prior_residual={},
         chi_squared=zero + 9,
         degrees_of_freedom=10,
         sampling_error=jnp.zeros(3),

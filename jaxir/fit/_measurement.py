@@ -76,7 +76,7 @@ def measured_intensity(
         views: azimuth and elevation [view, 2] [deg].
         bands: bands or nodes.
         value: [view, band] [W sr-1].
-        standard_deviation: of each value, or one for all [W sr-1].
+        standard_deviation: of each value, of each band, or one for all [W sr-1].
         distance: from the scene to the sensor [m].
         shape: rows and columns of the images that predict.
         samples: rays per pixel; even.
@@ -113,7 +113,7 @@ def measured_image(
         camera: the view.
         bands: bands or nodes; bands become the nodes that the scene of a fit needs, as in `render`.
         value: [row, column, band] [W m-2 sr-1].
-        standard_deviation: of each value, or one for all.
+        standard_deviation: of each value, of each band, or one for all.
         samples: rays per pixel; even.
         method: as `render`; `Method(orders=0)` leaves out what particles scatter, and with it its noise.
 
@@ -143,8 +143,10 @@ def _measurement(
     numbers, spread = as_float(value, "measurement.value"), as_float(deviation, "measurement.standard_deviation")
     if numbers.shape != shape:
         raise ValueError(f"measurement.value: got shape {numbers.shape}, expected {shape}: views or pixels, then bands")
-    if spread.shape not in ((), shape):
-        raise ValueError(f"measurement.standard_deviation: got shape {spread.shape}, expected one value or {shape}")
+    if spread.shape not in ((), shape[-1:], shape):
+        raise ValueError(
+            f"measurement.standard_deviation: got shape {spread.shape}, expected one value, {shape[-1:]} or {shape}"
+        )
     rows = (math.prod(shape[:-1]), shape[-1])
     given, deviations = (reshaped(array, rows) for array in (numbers, broadcast(spread, shape)))
     made = Measurement(given, deviations, cameras, nodes, Method() if method is None else method, samples, per_pixel)

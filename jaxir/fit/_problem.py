@@ -55,11 +55,15 @@ class Problem(eqx.Module):
         predicted = ((o.measurement, o.predict_halves(scene)) for o in self.observations)
         return tuple((halves - m.value[None, None]) / m.standard_deviation[None, None] for m, halves in predicted)
 
+    def of_priors(self, z: Float[Array, " p"]) -> dict[str, Float[Array, " m"]]:
+        """Residuals of the priors, by the parameters that have some."""
+        pieces = self.coordinates.pieces(self.coordinates.values(z))
+        every = zip(self.coordinates.parameters, self.priors, pieces, strict=True)
+        return {parameter.name: prior.residual(piece) for parameter, prior, piece in every if prior is not None}
+
     def prior(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
         """Residuals of the priors."""
-        pieces = self.coordinates.pieces(self.coordinates.values(z))
-        known = [p.residual(piece) for p, piece in zip(self.priors, pieces, strict=True) if p is not None]
-        return jnp.concatenate(known) if known else jnp.zeros(0, z.dtype)
+        return jnp.concatenate([jnp.zeros(0, z.dtype), *self.of_priors(z).values()])
 
     def residual(self, z: Float[Array, " p"]) -> Float[Array, " row"]:
         """All residuals, priors last. Differentiable in both modes."""

@@ -140,6 +140,7 @@ class Fit(eqx.Module):
         robust: residual from which the loss grows linearly; inf for squares.
         residual: (prediction - measured) / standard deviation of every measured number, one array per measurement
             [row, band].
+        prior_residual: (value - what was known) / standard deviation, of each parameter that has a prior [m].
         chi_squared: sum of squared residuals, priors included, without the robust loss [].
         degrees_of_freedom: measured numbers and priors less fitted numbers.
         sampling_error: standard error that the finite number of rays puts into each value, from the two independent
@@ -164,6 +165,7 @@ class Fit(eqx.Module):
     bands: tuple[tuple[str, ...], ...] = eqx.field(static=True)
     robust: float = eqx.field(static=True)
     residual: tuple[Float[Array, "row band"], ...]
+    prior_residual: dict[str, Float[Array, " m"]]
     chi_squared: Float[Array, ""]
     degrees_of_freedom: int = eqx.field(static=True)
     sampling_error: Float[Array, " p"]
@@ -223,12 +225,15 @@ class Fit(eqx.Module):
         return float(fdtrc(n * (1 + v) ** 2 / (1 + n * v**2 / m), k * (1 + 1 / v) ** 2, found / (n * (1 + v))))
 
     def worst(self, count: int = 3) -> list[tuple[float, str]]:
-        """The largest residuals in standard deviations, each with its place."""
+        """The largest residuals in standard deviations, of data and of priors, each with its place."""
         found = [
             (float(r[row, band]), f"measurement {k}, row {row}, {self.bands[k][band]}")
             for k, r in enumerate(np.asarray(part) for part in self.residual)
             for row, band in zip(*np.unravel_index(np.argsort(-np.abs(r), axis=None)[:count], r.shape), strict=True)
         ]
+        for name, r in self.prior_residual.items():
+            single = r.size == 1
+            found += [(x, f"prior of {name}" + ("" if single else f"[{i}]")) for i, x in enumerate(r.tolist())]
         return sorted(found, key=lambda one: -abs(one[0]))[:count]
 
     def __str__(self) -> str:

@@ -149,6 +149,7 @@ def solve(
         bands=tuple(o.measurement.nodes.names for o in problem.observations),
         robust=float(problem.robust),
         residual=tuple(half.mean(axis=(0, 1)) for half in seen.halves),
+        prior_residual=problem.of_priors(end.z),
         chi_squared=jnp.sum(seen.residual * seen.residual),
         degrees_of_freedom=problem.data - coordinates.count,
         sampling_error=as_float(np.sqrt(np.sum(of_rays**2, axis=0))),

@@ -122,19 +122,20 @@ def _best(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, most:
     nodes = remembered(_held, asked, lambda: _choice(scenes, bands, rtol, asked), KEPT)
     if np.all(np.asarray(nodes.error) <= most):
         return nodes
-    return with_error(finest_nodes(scenes, bands), np.zeros(len(bands)))
+    return finest_nodes(scenes, bands, rtol)
 
 
 def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, asked: tuple) -> Nodes:
     """The nodes as an earlier process chose them, or chosen now."""
-    fine = finest_nodes(scenes, bands)
+    fine = finest_nodes(scenes, bands, rtol)
+    left = np.asarray(fine.error, np.float64)
 
     def found() -> list[Any]:
         spectra = [_spectra(with_few_cells(scene), fine, as_float(draws())) for scene in scenes]
-        return [each.tolist() for each in _chosen(spectra, fine, rtol)]
+        return [each.tolist() for each in _chosen(spectra, fine, rtol - left.max())]
 
     place, factor, error = kept_choice("optimal nodes", asked, found)
-    return _taken(fine, np.array(place, int), np.array(factor), np.array(error))
+    return _taken(fine, np.array(place, int), np.array(factor), error + left)
 
 
 def _taken(fine: Nodes, place: np.ndarray, factor: np.ndarray, error: np.ndarray) -> Nodes:

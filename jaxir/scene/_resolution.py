@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,17 +14,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
+from jaxir._arrays import as_float, fingerprint, is_traced, on_host, remembered, require
 from jaxir._cache import keep, kept
+from jaxir._fields import AbstractSpectrum
 from jaxir._programs import program
 from jaxir.optics.spectrum import (
     RESOLUTIONS,
+    SECOND_RADIATION,
     Band,
+    BlackbodySpectrum,
     Nodes,
     Resolution,
     Table,
     TabulatedSpectrum,
     as_bands,
+    bin_edges,
     cuts_for,
     finer_nodes,
     gray_nodes,
@@ -42,6 +47,7 @@ FEW_BINS = 12  # of which the means of few quantiles err too much, and many cost
 *MORE, FINER = Resolution(50.0, 16, 10), Resolution(50.0, 32, 12)  # tried for so few, and what they are compared with
 UNKNOWN = RESOLUTIONS[4]  # where the scene's values are not known yet
 KEPT = 32  # choices
+DARK = 20.0  # of -ln is a blackbody beside the hottest that does not count
 GRAIN = 1e-4  # of a background that a difference from it errs by rounding, with room
 
 
@@ -91,7 +97,7 @@ def spectral(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> bool:
 
 def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:
     """The fewest nodes that do, as an earlier process found or anew."""
-    cuts = _cuts((scene,), bands)
+    cuts, left = _cuts((scene,), bands)
     candidates = _candidates(bands, cuts)
 
     def found() -> list[Any]:
@@ -99,7 +105,7 @@ def _choice(scene: Scene, bands: tuple[Band, ...], asked: tuple) -> Nodes:
         return [place, error.tolist()]
 
     place, error = kept_choice("nodes", asked, found)
-    return with_error(candidates[place], np.asarray(error))
+    return with_error(candidates[place], np.asarray(error) + left)
 
 
 def kept_choice(what: str, asked: tuple, find: Callable[[], list[Any]]) -> list[Any]:
@@ -140,13 +146,22 @@ def nodes_error(scene: Scene, nodes: Nodes) -> Float[Array, " band"] | None:
         return None
     if not scene.has_spectrum:
         return jnp.zeros(len(response), nodes.weight.dtype)
-    fine, coarse = finer_nodes(nodes), with_few_cells(scene)
+    cuts, left = _cuts((scene,), _reach(nodes))
+    fine, coarse = finer_nodes(nodes, cuts), with_few_cells(scene)
     together = max(fine.count, nodes.count)  # values for one count of nodes are refused on the other
     try:
         finest, own = (_results(coarse, axis, together) for axis in (fine, nodes))
     except ValueError:  # light or air given for each of the nodes
         return None
-    return jnp.asarray(_apart(finest, own), nodes.weight.dtype)  # in units of what they find
+    return jnp.asarray(_apart(finest, own) + left, nodes.weight.dtype)  # in units of what they find
+
+
+def _reach(nodes: Nodes) -> tuple[Band, ...]:
+    """The bands of nodes as far as these reach, without their responses, which act by their means over bins."""
+    lower, upper = bin_edges(nodes)
+    some = [row > 0 if row.any() else row == 0 for row in np.asarray(nodes.response)]
+    each = zip(nodes.names, some, strict=True)
+    return tuple(Band(name, 1e4 / upper[own].max(), 1e4 / lower[own].min()) for name, own in each)
 
 
 def with_few_cells(scene: Scene) -> Scene:
@@ -176,32 +191,70 @@ def _candidates(bands: tuple[Band, ...], cuts: list[float]) -> list[Nodes]:
     return [gray_nodes(bands), *sorted(tries, key=lambda n: n.count)]
 
 
-def finest_nodes(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> Nodes:
-    """What others are compared with."""
-    return _finest(bands, _cuts(scenes, bands))
+def finest_nodes(scenes: Sequence[Scene], bands: tuple[Band, ...], rtol: float) -> Nodes:
+    """What others are compared with that may err by `rtol`; their error is what tables leave, a quarter at most."""
+    cuts, left = _cuts(scenes, bands, rtol / 4)
+    return with_error(_finest(bands, cuts), left)
 
 
 def _finest(bands: tuple[Band, ...], cuts: list[float]) -> Nodes:
     return resolved_nodes(bands, *(FINER if _narrow(bands) else FINEST), cuts=cuts)
 
 
-def _cuts(scenes: Sequence[Scene], bands: tuple[Band, ...]) -> list[float]:
-    """Where bins have to end because of what is tabulated in scenes, see `cuts_for`."""
-    lights, airs = [], []
+def _cuts(scenes: Sequence[Scene], bands: tuple[Band, ...], rtol: float = RTOL) -> tuple[list[float], np.ndarray]:
+    """Where bins have to end because of what varies in scenes, and what that leaves [band], see `cuts_for`.
+
+    Light, bodies, and air before both.
+    """
+    lights, airs, paths = [], [], []
     for scene in scenes:
-        parts = jax.tree.leaves((scene.sources, scene.background), is_leaf=lambda x: isinstance(x, TabulatedSpectrum))
-        lights += [_of_light(part) for part in parts if isinstance(part, TabulatedSpectrum)]
+        parts = jax.tree.leaves((scene.sources, scene.background), is_leaf=lambda x: isinstance(x, AbstractSpectrum))
+        lights += [light for part in parts if isinstance(part, AbstractSpectrum) for light in _of_light(part)]
         if isinstance(scene.atmosphere, TableAtmosphere):
             air = scene.atmosphere
-            wavenumber, passed = (np.asarray(x, np.float64) for x in (air.wavenumber, air.transmittance))
-            airs.append(Table(wavenumber, functools.partial(np.interp, xp=wavenumber, fp=passed)))
-    return cuts_for(bands, lights, airs, FINEST.width)
+            airs.append(_tabulated(air.wavenumber, air.transmittance))
+            if air.spectral_path_radiance is not None:
+                paths.append(_tabulated(air.wavenumber, air.spectral_path_radiance))
+    found: set[float] = set()
+    left = np.zeros(len(bands))
+    for k, band in enumerate(bands):
+        if airs or band.response is not None:
+            every = [*lights, *(table for scene in scenes for table in _bodies(scene, band))]
+            pairs = list(itertools.product(every, airs))
+            cuts, left[k] = cuts_for(band, [*every, *airs, *paths], pairs, FINEST.width, rtol)
+            found.update(cuts)
+    return sorted(found), left
 
 
-def _of_light(light: TabulatedSpectrum) -> Table:
-    wavelength, value = (np.asarray(x, np.float64) for x in (light.wavelength, light.value))
-    total = value.reshape(-1, wavelength.size).sum(axis=0)
-    return Table(1e4 / wavelength[::-1], lambda x: np.interp(1e4 / x, wavelength, total) * 1e4 / x**2)
+def _tabulated(wavenumber: Array, value: Array) -> Table:
+    places, values = np.asarray(wavenumber, np.float64), np.asarray(value, np.float64)
+    return Table(places, functools.partial(np.interp, xp=places, fp=values))
+
+
+def _of_light(light: AbstractSpectrum) -> list[Table]:
+    if isinstance(light, TabulatedSpectrum):
+        wavelength, value = (np.asarray(x, np.float64) for x in (light.wavelength, light.value))
+        total = value.reshape(-1, wavelength.size).sum(axis=0)
+        return [Table(1e4 / wavelength[::-1], lambda x: np.interp(1e4 / x, wavelength, total) * 1e4 / x**2)]
+    if isinstance(light, BlackbodySpectrum):
+        return [_blackbody(kelvin) for kelvin in np.unique(on_host(light.temperature)[1])[[0, -1]]]
+    return []
+
+
+def _bodies(scene: Scene, band: Band) -> list[Table]:
+    """Blackbodies as cold as the coldest skin, as hot as the hottest and as the plumes, but for those next to dark."""
+    skins = [] if scene.skin is None else [scene.skin.temperature.min(), scene.skin.temperature.max()]
+    kelvins = np.unique(np.asarray([*skins, *(plume.hottest() for plume in scene.plumes)], np.float64))
+    least = 1e4 / band.upper
+    x = SECOND_RADIATION * least * (1 / kelvins - 1 / kelvins.max(initial=1.0))
+    return [_blackbody(kelvin) for kelvin in kelvins[x < DARK]]
+
+
+def _blackbody(kelvin: float) -> Table:
+    def at(wavenumber: np.ndarray) -> np.ndarray:
+        return wavenumber**3 / np.expm1(np.minimum(SECOND_RADIATION * wavenumber / kelvin, 700.0))
+
+    return Table(np.zeros(0), at)
 
 
 def _narrow(bands: tuple[Band, ...]) -> bool:

@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 
 import jaxir
-from jaxir.fit import Bounds, Factor, fit, measured_image
+from jaxir.fit import Bounds, Factor, NormalPrior, fit, measured_image
 from tests.fit.slabs import DEPTH, TEMPERATURE, looked_at, slab
 
 THREE = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
@@ -40,6 +40,18 @@ def test_a_good_fit_says_so_and_an_outlier_is_named():
     assert bad.probability < 1e-6
     said = str(bad)
     assert "THE MODEL DOES NOT EXPLAIN THE DATA" in said and "measurement 0, row 0, LWIR" in said
+
+
+def test_a_prior_that_contradicts_the_data_is_named():
+    measured = looked_at(slab(1000.0, 1.0), THREE)
+    found = fit(slab(800.0, 0.5), [TEMPERATURE, DEPTH], [measured], priors={"depth": NormalPrior(9.0, 0.5)})
+    np.testing.assert_allclose(found.prior_residual["depth"], (found.uncertainty.value[1:] - 9.0) / 0.5, rtol=1e-3)
+    assert "THE MODEL DOES NOT EXPLAIN THE DATA" in str(found) and "prior of depth" in str(found)
+
+
+def test_bands_may_have_standard_deviations_of_their_own():
+    each = measured_image(jaxir.orthographic_camera(0.0, 0.0, 0.1, (2, 2)), THREE, np.ones((2, 2, 3)), [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(each.standard_deviation, np.tile(np.float32([0.1, 0.2, 0.3]), (4, 1)))
 
 
 def test_few_outliers_suggest_a_robust_loss():

@@ -34,7 +34,7 @@ def test_all_are_taken_where_few_do_not_suffice(monkeypatch):
     monkeypatch.setattr(_optimal_nodes, "TOLERANCES", (0.3,))
     scene, rtol = layers(), 0.0123
     nodes = nodes_within(scene, BANDS, rtol)
-    assert nodes.count == _optimal_nodes.finest_nodes((scene,), BANDS).count and not np.asarray(nodes.error).any()
+    assert nodes.count == _optimal_nodes.finest_nodes((scene,), BANDS, rtol).count and not np.asarray(nodes.error).any()
     assert jaxir.optimal_nodes(scene, BANDS, 0.0124).count == nodes.count
 
 

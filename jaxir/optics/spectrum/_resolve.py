@@ -155,29 +155,43 @@ class Table(NamedTuple):
     at: Callable[[Any], Any]
 
 
-def cuts_for(bands: Sequence[Band], lights: Sequence[Table], airs: Sequence[Table], width: float) -> list[float]:
-    """Where bins of a width have to end besides, so that means over them serve for what is tabulated.
+def cuts_for(
+    band: Band,
+    alone: Sequence[Table],
+    pairs: Sequence[tuple[Table, Table]],
+    width: float,
+    rtol: float,
+) -> tuple[list[float], float]:
+    """Where bins of a width have to end besides, so that means over them serve for what depends on the wavenumber.
 
     In a bin the mean of a product of a response, of light and of what passes air is taken for the product of their
-    means, which errs where both have lines in it. Bins are halved until all of a band errs by `OF_RESPONSE` of it at
-    most for each two of them, signs taken into account, `FINE_HALVINGS` times at most.
+    means, which errs where both vary in it. Bins are halved until all of the band errs by `rtol` of it at most for each
+    two of them, signs taken into account, `FINE_HALVINGS` times at most.
+
+    Args:
+        band: the band.
+        alone: what is multiplied by its response.
+        pairs: what is multiplied by one another.
+        width: of the bins [cm-1].
+        rtol: what may be left; `OF_RESPONSE` at most.
+
+    Returns:
+        Wavenumbers in ascending order [cm-1], and what is left of a band, by the worst two.
     """
-    found: set[float] = set()
-    for band in bands:
-        edges = np.array([[1e4 / band.upper, 1e4 / band.lower]])
-        lower, upper = _cut_by_response([band], edges, *_bins(edges, width))
-        without = lower
-        own = [] if band.response is None else [_response(band)]
-        pairs = [(one, other) for one in own for other in (*lights, *airs)]
-        for one, other in [*pairs, *((light, air) for light in lights for air in airs)]:
-            for _ in range(FINE_HALVINGS):
-                errs, whole = _products(one, other, lower, upper)
-                if abs(errs.sum()) <= OF_RESPONSE * whole:
-                    break
-                cut = (np.abs(errs) * errs.size > OF_RESPONSE * whole) & (upper - lower > LEAST * upper)
-                lower, upper = _halved(lower, upper, cut)
-        found.update(np.setdiff1d(lower, without).tolist())
-    return sorted(found)
+    rtol, left = min(rtol, OF_RESPONSE), 0.0
+    edges = np.array([[1e4 / band.upper, 1e4 / band.lower]])
+    lower, upper = _cut_by_response([band], edges, *_bins(edges, width))
+    without = lower
+    own = [] if band.response is None else [_response(band)]
+    for one, other in [*((one, other) for one in own for other in alone), *pairs]:
+        for _ in range(FINE_HALVINGS):
+            errs, whole = _products(one, other, lower, upper)
+            if abs(errs.sum()) <= rtol * whole:
+                break
+            cut = (np.abs(errs) * errs.size > rtol * whole) & (upper - lower > LEAST * upper)
+            lower, upper = _halved(lower, upper, cut)
+        left = max(left, abs(errs.sum()) / whole if whole else 0.0)
+    return np.setdiff1d(lower, without).tolist(), left
 
 
 def _response(band: Band) -> Table:
@@ -198,19 +212,20 @@ def _products(one: Table, other: Table, lower: np.ndarray, upper: np.ndarray) ->
     return both - of_one * of_other / (upper - lower), float(both.sum())
 
 
-def finer_nodes(nodes: Nodes) -> Nodes:
+def finer_nodes(nodes: Nodes, cuts: Sequence[float] = ()) -> Nodes:
     """The bins of nodes cut at multiples of the finest width, with as many quantiles as the finest resolution has.
 
-    A response stays the mean one over each bin. On the host.
+    They end at `cuts` besides [cm-1]. A response stays the mean one over each bin. On the host.
     """
     width, points, pair_points = RESOLUTIONS[-1]
     lower, upper = bin_edges(nodes)
     bins = np.unique(np.vstack([lower, upper, np.asarray(nodes.response, np.float64)]), axis=1)
     pieces = []
     for low, high, *response in bins.T.tolist():
-        inner = width * np.arange(np.floor(low / width) + 1, np.ceil(high / width))
-        cuts = np.concatenate([[low], inner[(inner > low * (1 + _GRAIN)) & (inner < high * (1 - _GRAIN))], [high]])
-        pieces.append(np.vstack([cuts[:-1], cuts[1:], np.repeat(np.array(response)[:, None], cuts.size - 1, axis=1)]))
+        even = width * np.arange(np.floor(low / width) + 1, np.ceil(high / width))
+        inner = np.union1d(even, cuts)
+        ends = np.concatenate([[low], inner[(inner > low * (1 + _GRAIN)) & (inner < high * (1 - _GRAIN))], [high]])
+        pieces.append(np.vstack([ends[:-1], ends[1:], np.repeat(np.array(response)[:, None], ends.size - 1, axis=1)]))
     lower, upper, *response = np.hstack(pieces)
     return _with_quantiles(lower, upper, np.array(response), points, pair_points, CO2_H2O_OVERLAP, nodes.names)
 
