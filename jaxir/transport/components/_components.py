@@ -33,6 +33,7 @@ from jaxir.scene.light import AbstractLight, backgrounds
 from jaxir.transport._method import Method
 from jaxir.transport._paths import Paths
 from jaxir.transport.evaluation import on_nodes, radiance_before_air, with_scattered
+from jaxir.transport.ordinates import Scattered
 
 KINDS = ("sources", "parts")
 BACKGROUND, AIR = "background", "air"
@@ -207,5 +208,7 @@ def _background(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:
     """The background behind the plumes, where rays meet no skin, before the air."""
     rays = paths.rays
     leaves = jnp.isinf(paths.length)
-    seen = jnp.where(leaves[:, None], lit.background(rays.direction), 0)
-    return seen * lit.transmittance(rays.origin, rays.direction, jnp.where(leaves, paths.length, 0))
+    seen, reach = jnp.where(leaves[:, None], lit.background(rays.direction), 0), jnp.where(leaves, paths.length, 0)
+    if isinstance(lit.medium, Scattered):  # what is scattered forward is of the surroundings
+        seen = seen * lit.medium.unscattered(rays, reach)
+    return seen * lit.transmittance(rays.origin, rays.direction, reach)

@@ -81,13 +81,17 @@ def brings(
 
 
 def _surroundings(lit: Lit, segment: Segment, first: Array | bool) -> Array:
-    """What segments that leave the scene bring from around it [ray, node]; the eye does not see hidden lights."""
-    direction = segment.rays.direction
+    """What segments that leave the scene bring from around it [ray, node].
+
+    The eye does not see hidden lights, but for what of their light was scattered forward in passing.
+    """
+    rays, seen = segment.rays, lit.background(segment.rays.direction)
+    every = lit.surroundings(rays.direction) if lit.scene.hidden else seen
+    around = jnp.where(first, seen, every) if lit.scene.hidden else seen
+    if lit.scene.hidden and isinstance(lit.medium, Scattered):
+        around = every - lit.medium.unscattered(rays, segment.length) * (every - around)
     if segment.sees_surroundings is None:
-        return lit.background(direction)
-    around = lit.surroundings(direction)
-    if lit.scene.hidden:
-        around = jnp.where(first, lit.background(direction), around)
+        return around
     leaves = segment.sees_surroundings & jnp.isinf(segment.length)
     return jnp.where(leaves[:, None], around, 0)
 

@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import Check, as_float, on_host
-from jaxir._math import dot, matmul
+from jaxir._math import dot, matmul, safe_divide
 from jaxir._programs import program
 from jaxir.geometry import Camera, Eye, Rays, harmonics
 from jaxir.medium import (
@@ -196,6 +196,12 @@ class Scattered(AbstractMedium):
     def transmittance(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.transmittance`; what is scattered forward passes."""
         return self.medium.transmittance(rays, t_max)
+
+    def unscattered(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
+        """Share of what passes that was not scattered forward either [ray, node]; 1 where nothing passes."""
+        given = self.medium.less_forward([1 - 1 / part.kept for part in self.parts])
+        straight, passed = (medium.transmittance(rays, t_max) for medium in (given, self.medium))
+        return jnp.where(passed > 0, safe_divide(straight, passed), 1)
 
     def scattering(self, point: Float[Array, "ray 3"], cosine: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """See `AbstractMedium.scattering`."""
