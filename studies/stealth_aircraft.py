@@ -135,7 +135,8 @@ def aircraft_of(mesh: jaxir.Mesh, temperature: np.ndarray, effort: Effort, given
             length=60.0,
             particles=load,
         )
-        daylight = jaxir.ParallelSource((0.0, 0.0, -1.0), jaxir.BlackbodySpectrum(SUN_SURFACE))
+        share = given.sun_irradiance / float(jaxir.band_radiance(SUN_SURFACE, jaxir.SWIR)[0])
+        daylight = jaxir.ParallelSource((0.0, 0.0, -1.0), jaxir.BlackbodySpectrum(SUN_SURFACE, share))
         seen = [through(jaxir.Scene(skin, jet, (daylight,)), place) for place in PLACES]
         nodes = jaxir.optimal_nodes(seen, BANDS, effort.rtol)
         made[name] = Aircraft(jaxir.Scene(skin, jet, (sun(nodes, given),)), nodes)

@@ -11,9 +11,10 @@ vectors of the set; those with small singular values are left out, first many, t
 the set agree.
 
 The set: rays through places in the plumes, to all sides and nearly along them, seen through the air from outside and
-without it from these places; what they show of the plumes, and what passes of skin, of every light and of light that is
-the same at all wavenumbers; what plumes are more than the background that they hide; skin of temperatures from its
-lowest to its highest, every other of which is not in the set, through the air, and what it is more than the background.
+without it from these places; what they show of the plumes, also with what particles scatter, and what passes of skin,
+of every light and of light that is the same at all wavenumbers; what plumes are more than the background that they
+hide; skin of temperatures from its lowest to its highest, every other of which is not in the set, through the air, and
+what it is more than the background.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from jaxtyping import Array, Float
 from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
 from jaxir._programs import program
 from jaxir.optics.spectrum import Band, Nodes, as_bands, gray_nodes, padded_nodes, some_of, told_apart, with_error
-from jaxir.scene._probes import RAYS, behind, brought, draws, from_outside, joined, through, warmth
+from jaxir.scene._probes import RAYS, behind, brought, draws, from_outside, joined, scattered, through, warmth
 from jaxir.scene._resolution import (
     GRAIN,
     KEPT,
@@ -176,7 +177,10 @@ def _spectra(scene: Scene, nodes: Nodes, draws: Float[Array, "ray 6"]) -> Spectr
     rays = joined([from_outside(scene, inside), inside])
     far, dark = jnp.full(rays.count, jnp.inf, flat.dtype), jnp.zeros((rays.count, nodes.count), flat.dtype)
     passed = lit.medium.transmittance(rays, far)
-    along = jnp.stack([lit.medium.radiance(rays, far, dark), *(passed * own[None] for own in others)])
+    shine = [lit.medium.radiance(rays, far, dark)]
+    if lit.medium.scatters:
+        shine.append(shine[0] + scattered(lit, rays, passed))
+    along = jnp.stack([*shine, *(passed * own[None] for own in others)])
     seen = along[:, : inside.count]
     if sky:
         hidden = (1 - passed[: inside.count]) * around.mean(axis=0)[None]

@@ -15,7 +15,7 @@ from jaxir._arrays import as_float
 from jaxir._math import frame_around, matmul
 from jaxir.geometry import Rays
 from jaxir.optics.spectrum import Nodes, band_radiance
-from jaxir.scene._scene import Scene
+from jaxir.scene._scene import Lit, Scene
 from jaxir.scene._skin import Skin
 from jaxir.scene.light import AbstractLight, area_sources, backgrounds, delta_sources
 from jaxir.scene.plume import AbstractPlume
@@ -113,6 +113,22 @@ def warmth(skin: Skin, nodes: Nodes) -> Float[Array, "warm node"]:
 def behind(warm: Float[Array, "warm node"]) -> Float[Array, "behind node"]:
     """Those of them that are looked at through plumes."""
     return warm[:: (WARM - 1) // (BEHIND - 1)]
+
+
+def scattered(lit: Lit, rays: Rays, passed: Float[Array, "ray node"]) -> Float[Array, "ray node"]:
+    """What particles scatter of light from outside, if once and lit as if nothing were before; of the sky evenly."""
+    assert lit.medium is not None
+    found = jnp.zeros_like(passed)
+    lobes = [part.lobe for part in lit.medium.parts_with_particles if part.lobe is not None]
+    centre, omega = lit.scene.extent().mean(axis=0), jnp.asarray(TOWARD, passed.dtype)
+    for source in delta_sources(lit.scene.sources):
+        cosine = matmul(rays.direction, source.toward(centre)[0])
+        found = found + source.beam(centre)[None] * sum(jax.vmap(lobe.eval)(cosine) for lobe in lobes) / len(lobes)
+    for around in lit.scene.surroundings:
+        found = found + around.arriving(omega).mean(axis=0)[None]
+    shares = [jnp.ones(passed.shape[1], passed.dtype) for _ in lobes]
+    absorbed = lit.medium.less_forward(shares).transmittance(rays, jnp.full(rays.count, jnp.inf, passed.dtype))
+    return (absorbed - passed) * found
 
 
 def brought(lights: tuple[AbstractLight, ...], nodes: Nodes) -> list[Float[Array, "_light node"]]:

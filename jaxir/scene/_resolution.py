@@ -37,7 +37,19 @@ from jaxir.optics.spectrum import (
     some_of,
     with_error,
 )
-from jaxir.scene._probes import ACROSS, RAYS, across, behind, brought, draws, from_outside, joined, through, warmth
+from jaxir.scene._probes import (
+    ACROSS,
+    RAYS,
+    across,
+    behind,
+    brought,
+    draws,
+    from_outside,
+    joined,
+    scattered,
+    through,
+    warmth,
+)
 from jaxir.scene._scene import Lit, Scene, on_nodes
 from jaxir.scene.air import TableAtmosphere
 
@@ -58,9 +70,9 @@ def scene_nodes(scene: Scene, bands: Nodes | Band | Sequence[Band]) -> Nodes:
     depends on the wavenumber inside them (`Physical.has_spectrum`). Else they become the fewest of `RESOLUTIONS` with
     which all that is seen is within `RTOL` of that on the finest, through the air: the mean radiance of 36 rays
     each in four directions through every plume, from across to nearly along it, and four times through what is hot in
-    it, before darkness and before skin; skin from its lowest to its highest temperature; lights; and what contrasts
-    with the background. `Nodes.error` keeps what they err. Bands of at most `FEW_BINS` bins are compared with nodes of
-    32 quantiles.
+    it, before darkness, with what particles scatter, and before skin; skin from its lowest to its highest temperature;
+    lights; and what contrasts with the background. `Nodes.error` keeps what they err. Bands of at most `FEW_BINS` bins
+    are compared with nodes of 32 quantiles.
     All candidates are tried by one program: coarser ones are padded with nodes of weight 0, the finest are tried in
     parts. A grid of more than some thousand cells is probed on every few of them.
 
@@ -237,7 +249,7 @@ def _of_light(light: AbstractSpectrum) -> list[Table]:
         total = value.reshape(-1, wavelength.size).sum(axis=0)
         return [Table(1e4 / wavelength[::-1], lambda x: np.interp(1e4 / x, wavelength, total) * 1e4 / x**2)]
     if isinstance(light, BlackbodySpectrum):
-        return [_blackbody(kelvin) for kelvin in np.unique(on_host(light.temperature)[1])[[0, -1]]]
+        return [_blackbody(float(kelvin)) for kelvin in np.unique(on_host(light.temperature)[1])[[0, -1]]]
     return []
 
 
@@ -247,7 +259,7 @@ def _bodies(scene: Scene, band: Band) -> list[Table]:
     kelvins = np.unique(np.asarray([*skins, *(plume.hottest() for plume in scene.plumes)], np.float64))
     least = 1e4 / band.upper
     x = SECOND_RADIATION * least * (1 / kelvins - 1 / kelvins.max(initial=1.0))
-    return [_blackbody(kelvin) for kelvin in kelvins[x < DARK]]
+    return [_blackbody(kelvin) for kelvin in kelvins[x < DARK].tolist()]
 
 
 def _blackbody(kelvin: float) -> Table:
@@ -284,8 +296,8 @@ def _value(leaf: Array) -> Array:
 def _probed(scene: Scene, lit: Lit) -> Float[Array, "2 result band"]:
     """In-band radiances that may be seen of a scene, and what their errors are shares of: they may be differences.
 
-    Means of rays through each plume in like directions, evenly spread and through what is hot, before darkness, before
-    skin and less the background; skin, and skin less the background; lights.
+    Means of rays through each plume in like directions, evenly spread and through what is hot, before darkness, with
+    what particles scatter, before skin and less the background; skin, and skin less the background; lights.
     """
     nodes = lit.nodes
     dark = jnp.zeros((1, nodes.count), nodes.weight.dtype)
@@ -303,6 +315,8 @@ def _probed(scene: Scene, lit: Lit) -> Float[Array, "2 result band"]:
         unlit = jnp.broadcast_to(dark, (rays.count, nodes.count))
         each = lit.medium.transmittance(rays, far), lit.medium.radiance(rays, far, unlit)
         passed, shine = (_means(x, even.count)[:, None] for x in each)
+        if lit.medium.scatters:
+            seen.append(_means(each[1] + scattered(lit, rays, each[0]), even.count))
         seen.append((shine + passed * jnp.concatenate([dark, behind(warm)])[None]).reshape(-1, nodes.count))
         if around:
             hidden = (1 - passed) * sky.mean(axis=0)[None, None]
