@@ -135,7 +135,7 @@ def save_netcdf(
         errors: likewise.
 
     Raises:
-        ValueError: another ending, or a folder that does not exist.
+        ValueError: another ending, a folder that does not exist, or conditions that no attribute holds.
         ImportError: xarray is not installed.
     """
     try:
@@ -153,7 +153,7 @@ def save_netcdf(
         axes = ("row", "column", "component", "band") if radiance else ("view", "component", "band")[-values.ndim :]
         data[name] = axes, values, {"units": RADIANCE if radiance else INTENSITY}
         data.coords["component"] = "component", list(result.components)
-    data.attrs.update(conditions or {})
+    data.attrs.update(_attributes(conditions or {}))
     with written_whole(path) as part:
         data.to_netcdf(part, engine="scipy")
 
@@ -198,6 +198,17 @@ def _signature_data(table: Signature) -> tuple[dict[str, Any], dict[str, Any], d
         **{name: ("view", values) for name, values in state.items()},
     }
     return variables, coordinates, {}
+
+
+def _attributes(conditions: Mapping[Any, Any]) -> dict[str, Any]:
+    """Conditions as attributes of NetCDF, whose integers have 32 bits: larger ones are texts."""
+    for name, value in conditions.items():
+        if not re.fullmatch(r"[^\W\d]\w*", str(name), re.ASCII):
+            raise ValueError(f"conditions: got name {name!r}, expected letters, digits and _, a digit not first")
+        if not isinstance(value, str | int | float | np.number):
+            raise ValueError(f"conditions: got {name} {value!r}, expected a text or a number")
+    large = {name: str(x) for name, x in conditions.items() if isinstance(x, int) and not -(2**31) <= x < 2**31}
+    return {**conditions, **large}
 
 
 def save_signature(

@@ -87,6 +87,17 @@ def test_components_are_written_by_name(image, tmp_path):
         np.testing.assert_array_equal(data.component_intensity, parts)
 
 
+def test_conditions_are_attributes_of_netcdf_or_refused(image, tmp_path):
+    xarray = pytest.importorskip("xarray")
+    save_netcdf(tmp_path / "image.nc", image, {"mach": 0.8, "seed": 2**40})
+    with xarray.open_dataset(tmp_path / "image.nc", engine="scipy") as data:
+        assert data.attrs["mach"] == 0.8 and data.attrs["seed"] == str(2**40)
+    for name, value, said in (("a b", 1, "got name 'a b'"), ("", 1, "got name ''"), ("x", None, "got x None")):
+        with pytest.raises(ValueError, match=f"conditions: {said}, expected"):
+            inspect.unwrap(save_netcdf)(tmp_path / "other.nc", image, {name: value})
+    assert not (tmp_path / "other.nc").exists()
+
+
 def test_errors_are_written_part_by_part(image, tmp_path):
     xarray = pytest.importorskip("xarray")
     errors = image.error_budget()
