@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float, fingerprint, is_traced, on_host, remembered, require
+from jaxir._arrays import as_float, fingerprint, is_traced, remembered, require
 from jaxir._cache import keep, kept
 from jaxir._fields import AbstractSpectrum
 from jaxir._programs import program
@@ -249,7 +249,8 @@ def _of_light(light: AbstractSpectrum) -> list[Table]:
         total = value.reshape(-1, wavelength.size).sum(axis=0)
         return [Table(1e4 / wavelength[::-1], lambda x: np.interp(1e4 / x, wavelength, total) * 1e4 / x**2)]
     if isinstance(light, BlackbodySpectrum):
-        return [_blackbody(float(kelvin)) for kelvin in np.unique(on_host(light.temperature)[1])[[0, -1]]]
+        kelvins = np.asarray(light.temperature, np.float64)
+        return [_blackbody(kelvin) for kelvin in {float(kelvins.min()), float(kelvins.max())}]
     return []
 
 

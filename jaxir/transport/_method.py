@@ -114,7 +114,8 @@ class DiscreteOrdinates(Physical):
         along: points of the lattice along the plume.
         across: and across it.
         order: degree of the harmonics that hold the radiance, see `jaxir.transport.ordinates`. What is scattered
-            forward in a lobe narrower than 180 / order degrees counts as not scattered.
+            forward in a lobe narrower than 180 / order degrees counts as not scattered; of a sky that is not seen
+            it is seen, as coming from where the ray goes.
         orders: how often at most paths are scattered that sample what the lattice errs; 0 for the lattice alone.
     """
 
