@@ -277,7 +277,7 @@ def test_what_a_lattice_errs_in_cells_in_the_sun_is_told():
 @eqx.filter_jit
 def lacking(lit, rays):
     eye = Eye(jnp.zeros(3), -rays.direction[0], jnp.zeros(()))  # which they share
-    return lit.medium.aimed_at(eye).lacking(rays, 0)
+    return lit.medium.aimed_at(eye).lacking(rays, jnp.full(rays.count, jnp.inf), 0)
 
 
 @eqx.filter_jit
@@ -548,7 +548,8 @@ def test_images_have_no_noise_of_it_and_tell_what_is_left():
 def plume_intensity(lit, camera, start):
     """Of the rays on which the lattice's error is found."""
     rays, weight = chosen_rays(lit.medium.parts[0], camera, start)
-    return weight @ lit.nodes.in_band(lit.medium.aimed_at(camera.eye).lacking(rays, 0)[0])
+    far = jnp.full(rays.count, jnp.inf)
+    return weight @ lit.nodes.in_band(lit.medium.aimed_at(camera.eye).lacking(rays, far, 0)[0])
 
 
 @optimised

@@ -31,6 +31,7 @@ from jaxir.medium import (
 )
 from jaxir.scene import Lit
 from jaxir.transport.ordinates._collected import collected
+from jaxir.transport.ordinates._entering import length_of
 from jaxir.transport.ordinates._lattice import about
 from jaxir.transport.ordinates._part import Aimed, Part, Told
 
@@ -144,13 +145,13 @@ class Scattered(AbstractMedium):
         """How many spectral nodes there are."""
         return self.parts[0].moments.shape[2]
 
-    def lacking(self, rays: Rays, place: int) -> tuple[Float[Array, "ray node"], ...]:
-        """What rays of the eye at which it is aimed see of one of the parts, and what that may lack.
+    def lacking(self, rays: Rays, t_max: Float[Array, " ray"], place: int) -> tuple[Float[Array, "ray node"], ...]:
+        """What rays of the eye at which it is aimed see of one of the parts before they end, and what that may lack.
 
         Radiances [ray, node]: those of `Told` summed along rays, with what all parts emit, and `SLOW` times what
         changes as every piece of a ray is halved. Where what the lattice errs is sampled, that is all of it.
         """
-        cuts = self._pieces(rays, jnp.full(rays.count, jnp.inf, rays.origin.dtype))
+        cuts = self._pieces(rays, t_max)
         dark = jnp.zeros((rays.count, self.nodes), rays.origin.dtype)
         part = self.parts[place]
 
@@ -316,14 +317,15 @@ def lattice_lacks(bare: Lit, camera: Camera) -> Float[Array, "part kind node"] |
     """What `Scattered.lacking` sees of each plume, summed over a camera's image; None where nothing was solved for.
 
     Of a scene `Lit.in_vacuum`, before it is aimed at: a program that images and tables share, through any air and in
-    any bands. Skin in front of plumes is not looked for.
+    any bands.
     """
     if not isinstance(bare.medium, Scattered):
         return None
     medium, found = bare.medium.aimed_at(camera.eye), []
     for place, part in enumerate(medium.parts):
         rays, weight = chosen_rays(part, camera, bare.scene.start(camera))
-        found.append(jnp.stack([matmul(weight, radiance) for radiance in medium.lacking(rays, place)]))
+        lacks = medium.lacking(rays, length_of(bare.scene, rays), place)
+        found.append(jnp.stack([matmul(weight, radiance) for radiance in lacks]))
     return jnp.stack(found)
 
 
