@@ -73,7 +73,7 @@ class Effort:
         return jaxir.Method(bounces=self.depth, scattering=jaxir.DiscreteOrdinates(*self.points))
 
 
-FULL = Effort(step=5.0, view=96, pixels=500, samples=4, rtol=0.02, depth=10, error=0.02, points=(41, 9, 5))
+FULL = Effort(step=5.0, view=96, pixels=500, samples=4, rtol=0.02, depth=10, error=0.02, points=(41, 10, 5))
 QUICK = Effort(step=15.0, view=48, pixels=400, samples=4, rtol=0.1, depth=6, error=1.0, points=(41, 9))
 
 
