@@ -123,7 +123,7 @@ def _best(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, most:
     nodes = remembered(_held, asked, lambda: _choice(scenes, bands, rtol, asked), KEPT)
     if np.all(np.asarray(nodes.error) <= most):
         return nodes
-    return finest_nodes(scenes, bands, rtol)
+    return finest_nodes(scenes, bands, most)
 
 
 def _choice(scenes: tuple[Scene, ...], bands: tuple[Band, ...], rtol: float, asked: tuple) -> Nodes:

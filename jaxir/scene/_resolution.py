@@ -204,8 +204,8 @@ def _candidates(bands: tuple[Band, ...], cuts: list[float]) -> list[Nodes]:
 
 
 def finest_nodes(scenes: Sequence[Scene], bands: tuple[Band, ...], rtol: float) -> Nodes:
-    """What others are compared with that may err by `rtol`; their error is what tables leave, a quarter at most."""
-    cuts, left = _cuts(scenes, bands, rtol / 4)
+    """What others are compared with that may err by `rtol`; their error is what tables leave, half of that at most."""
+    cuts, left = _cuts(scenes, bands, rtol / 2)
     return with_error(_finest(bands, cuts), left)
 
 
