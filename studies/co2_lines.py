@@ -17,8 +17,8 @@ from jaxir import StandardAtmosphere
 from jaxir.io.spectra import Spectra
 from jaxir.optics.air import altitude_along
 from jaxir.optics.gas import BOLTZMANN
-from jaxir.optics.spectrum import FIRST_RADIATION
 from jaxir.optics.spectrum import SECOND_RADIATION as C2
+from jaxir.optics.spectrum import spectral_radiance_on_host
 from studies import co2_levels as levels
 
 STEP = 0.004  # cm-1
@@ -139,7 +139,7 @@ def air_depth(air: StandardAtmosphere, mole_fraction: float, segments: int = 24)
 
 def planck(temperature: float) -> np.ndarray:
     """Spectral radiance of a blackbody on `GRID` [sample] [W m-2 sr-1 / cm-1]."""
-    return FIRST_RADIATION * GRID**3 / np.expm1(C2 * GRID / temperature)
+    return spectral_radiance_on_host(GRID, temperature)
 
 
 def radiance(layers: Sequence[tuple[float, float, float, float]], depth_in_front: np.ndarray | float) -> np.ndarray:

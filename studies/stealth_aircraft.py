@@ -119,6 +119,8 @@ def aircraft_of(mesh: jaxir.Mesh, temperature: np.ndarray, effort: Effort, given
     """Plain and suppressed."""
     gas, speed = exhaust(given)
     back = float(np.asarray(mesh.vertices)[:, 0].min())
+    share = given.sun_irradiance / float(jaxir.band_radiance(SUN_SURFACE, jaxir.SWIR)[0])
+    daylight = jaxir.ParallelSource((0.0, 0.0, -1.0), jaxir.BlackbodySpectrum(SUN_SURFACE, share))
     made = {}
     for name, emissivity, load in (
         ("plain", given.plain_emissivity, None),
@@ -135,8 +137,6 @@ def aircraft_of(mesh: jaxir.Mesh, temperature: np.ndarray, effort: Effort, given
             length=60.0,
             particles=load,
         )
-        share = given.sun_irradiance / float(jaxir.band_radiance(SUN_SURFACE, jaxir.SWIR)[0])
-        daylight = jaxir.ParallelSource((0.0, 0.0, -1.0), jaxir.BlackbodySpectrum(SUN_SURFACE, share))
         seen = [through(jaxir.Scene(skin, jet, (daylight,)), place) for place in PLACES]
         nodes = jaxir.optimal_nodes(seen, BANDS, effort.rtol)
         made[name] = Aircraft(jaxir.Scene(skin, jet, (sun(nodes, given),)), nodes)

@@ -215,11 +215,8 @@ class Coordinates(eqx.Module):
     @property
     def labels(self) -> tuple[str, ...]:
         """A label for every number."""
-        return tuple(
-            p.name if size == 1 else f"{p.name}[{i}]"
-            for p, size in zip(self.parameters, self.sizes, strict=True)
-            for i in range(size)
-        )
+        each = zip(self.parameters, self.sizes, strict=True)
+        return tuple(label for p, size in each for label in numbered(p.name, size))
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -288,3 +285,8 @@ def at_values(coordinates: Coordinates, values: Any) -> Float[Array, " p"]:
         else:
             z.append(p.bounds.to_coordinate(piece))
     return jnp.concatenate(z)
+
+
+def numbered(name: str, count: int) -> list[str]:
+    """A label for every number of what bears a name."""
+    return [name] if count == 1 else [f"{name}[{i}]" for i in range(count)]

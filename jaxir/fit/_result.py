@@ -11,6 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from jaxir._arrays import is_traced
+from jaxir.fit._parameter import numbered
 from jaxir.scene import Scene
 
 UNLIKELY = 1e-3  # probability below which a model is said not to explain the data
@@ -232,8 +233,7 @@ class Fit(eqx.Module):
             for row, band in zip(*np.unravel_index(np.argsort(-np.abs(r), axis=None)[:count], r.shape), strict=True)
         ]
         for name, r in self.prior_residual.items():
-            single = r.size == 1
-            found += [(x, f"prior of {name}" + ("" if single else f"[{i}]")) for i, x in enumerate(r.tolist())]
+            found += zip(r.tolist(), numbered(f"prior of {name}", r.size), strict=True)
         return sorted(found, key=lambda one: -abs(one[0]))[:count]
 
     def __str__(self) -> str:

@@ -34,7 +34,7 @@ from jaxir.optics.spectrum import (
     gray_nodes,
     padded_nodes,
     resolved_nodes,
-    some_of,
+    spectral_radiance_on_host,
     with_error,
 )
 from jaxir.scene._probes import (
@@ -185,8 +185,7 @@ def _results(scene: Scene, nodes: Nodes, together: int) -> np.ndarray:
     """Sums over nodes, so many at a time, on nodes like those that `scene_nodes` returns: their programs serve."""
     told, each = np.zeros(len(nodes.names)), []
     for begin in range(0, nodes.count, together):
-        own = some_of(nodes, np.arange(begin, min(begin + together, nodes.count)))
-        lit = on_nodes(scene, with_error(padded_nodes(own, together), told))
+        lit = on_nodes(scene, with_error(padded_nodes(nodes, together, begin), told))
         each.append(np.asarray(_probed(scene, lit), np.float64))
     return np.sum(each, axis=0)
 
@@ -264,10 +263,7 @@ def _bodies(scene: Scene, band: Band) -> list[Table]:
 
 
 def _blackbody(kelvin: float) -> Table:
-    def at(wavenumber: np.ndarray) -> np.ndarray:
-        return wavenumber**3 / np.expm1(np.minimum(SECOND_RADIATION * wavenumber / kelvin, 700.0))
-
-    return Table(np.zeros(0), at)
+    return Table(np.zeros(0), functools.partial(spectral_radiance_on_host, temperature=kelvin))
 
 
 def _narrow(bands: tuple[Band, ...]) -> bool:

@@ -481,14 +481,8 @@ def test_of_what_skin_hides_nothing_is_lacking():
     """A plate between eye and plume: from the nose an aircraft's plume was told to lack ten times what it does."""
     scene = jaxir.Scene(block((18.0, 18.0, 0.1), 50.0, 3.0), box(1.0, 0.9, jaxir.Isotropic()))
     lit = with_scattered(scene.on(gray_nodes((jaxir.MWIR,))), COARSE)
-    below, above = (
-        float(
-            lattice_error(lit, lattice_lacks(lit.in_vacuum(), jaxir.fitted_camera(0.0, angle, scene.extent(), (1, 1))))[
-                0
-            ]
-        )
-        for angle in (-90.0, 90.0)
-    )
+    frames = [jaxir.fitted_camera(0.0, elevation, scene.extent(), (1, 1)) for elevation in (-90.0, 90.0)]
+    below, above = (float(lattice_error(lit, lattice_lacks(lit.in_vacuum(), frame))[0]) for frame in frames)
     assert below > 0 and above == 0
 
 

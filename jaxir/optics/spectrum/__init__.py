@@ -21,12 +21,12 @@ from jaxir.optics.spectrum._band import wavelength_to_wavenumber as wavelength_t
 from jaxir.optics.spectrum._band import with_error as with_error
 from jaxir.optics.spectrum._light import BlackbodySpectrum as BlackbodySpectrum
 from jaxir.optics.spectrum._light import TabulatedSpectrum as TabulatedSpectrum
-from jaxir.optics.spectrum._planck import FIRST_RADIATION as FIRST_RADIATION
 from jaxir.optics.spectrum._planck import STEFAN as STEFAN
 from jaxir.optics.spectrum._planck import band_radiance as band_radiance
 from jaxir.optics.spectrum._planck import blackbody_fraction as blackbody_fraction
 from jaxir.optics.spectrum._planck import brightness_temperature as brightness_temperature
 from jaxir.optics.spectrum._planck import spectral_radiance as spectral_radiance
+from jaxir.optics.spectrum._planck import spectral_radiance_on_host as spectral_radiance_on_host
 from jaxir.optics.spectrum._planck import spectral_radiance_wavelength as spectral_radiance_wavelength
 from jaxir.optics.spectrum._resolve import RESOLUTIONS as RESOLUTIONS
 from jaxir.optics.spectrum._resolve import Resolution as Resolution

@@ -249,9 +249,9 @@ def with_error(nodes: Nodes, error: np.ndarray) -> Nodes:
     return eqx.tree_at(lambda n: n.error, nodes, value, is_leaf=lambda leaf: leaf is None)
 
 
-def padded_nodes(nodes: Nodes, count: int) -> Nodes:
-    """The same nodes and copies of the last with weight 0, `count` together: one program serves several axes."""
-    every = np.arange(count)
+def padded_nodes(nodes: Nodes, count: int, begin: int = 0) -> Nodes:
+    """Nodes from one on, and copies of the last with weight 0, `count` together: one program serves several axes."""
+    every = begin + np.arange(count)
     padded = some_of(nodes, np.minimum(every, nodes.count - 1))
     weight = np.asarray(padded.weight)
     return dataclasses.replace(

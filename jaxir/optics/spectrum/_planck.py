@@ -58,6 +58,12 @@ def spectral_radiance(
     return FIRST_RADIATION * wavenumber**3 * jnp.exp(-x) / -jnp.expm1(-x)
 
 
+def spectral_radiance_on_host(wavenumber: np.ndarray, temperature: float) -> np.ndarray:
+    """The same in double precision by numpy; beyond x of 700 what it is there."""
+    x = SECOND_RADIATION * np.float64(wavenumber) / temperature
+    return FIRST_RADIATION * np.float64(wavenumber) ** 3 / np.expm1(np.minimum(x, 700))
+
+
 def spectral_radiance_wavelength(
     wavelength: Float[Array, "*batch"], temperature: Float[Array, "*batch"]
 ) -> Float[Array, "*batch"]:

@@ -14,7 +14,7 @@ from jaxir._fields import quantity
 from jaxir._math import matmul
 from jaxir._plausible import WAVENUMBER, doubt
 from jaxir.optics._tables import sample_weights
-from jaxir.optics.spectrum import FIRST_RADIATION, SECOND_RADIATION, Nodes, bins_inside
+from jaxir.optics.spectrum import Nodes, bins_inside, spectral_radiance_on_host
 from jaxir.scene.air._air import AbstractAtmosphere, AirPath
 
 HOT, SUN = 400.0, 5800.0  # K, of air that is hotter than any, and of the Sun
@@ -55,8 +55,7 @@ class TableAtmosphere(AbstractAtmosphere):
         def shines(radiance: np.ndarray, wavenumber: np.ndarray) -> np.ndarray:
             most = np.zeros(np.shape(wavenumber))
             for share, temperature in ((1.0, HOT), (SUNLIT, SUN)):
-                x = SECOND_RADIATION * np.maximum(np.float64(wavenumber), 1e-9) / temperature
-                most += share * FIRST_RADIATION * np.float64(wavenumber) ** 3 / np.expm1(np.minimum(x, 700))
+                most += share * spectral_radiance_on_host(np.maximum(wavenumber, 1e-9), temperature)
             return radiance <= most
 
         name, expected = "TableAtmosphere.spectral_path_radiance", "W m-2 sr-1 / cm-1 as air has; is it per um?"

@@ -210,5 +210,5 @@ def _background(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:
     leaves = jnp.isinf(paths.length)
     seen, reach = jnp.where(leaves[:, None], lit.background(rays.direction), 0), jnp.where(leaves, paths.length, 0)
     if isinstance(lit.medium, Scattered):  # what is scattered forward is of the surroundings
-        seen = seen * lit.medium.unscattered(rays, reach)
+        return seen * lit.medium.given.transmittance(rays, reach)
     return seen * lit.transmittance(rays.origin, rays.direction, reach)

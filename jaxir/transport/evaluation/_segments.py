@@ -85,11 +85,13 @@ def _surroundings(lit: Lit, segment: Segment, first: Array | bool) -> Array:
 
     The eye does not see hidden lights, but for what of their light was scattered forward in passing.
     """
-    rays, seen = segment.rays, lit.background(segment.rays.direction)
-    every = lit.surroundings(rays.direction) if lit.scene.hidden else seen
-    around = jnp.where(first, seen, every) if lit.scene.hidden else seen
-    if lit.scene.hidden and isinstance(lit.medium, Scattered):
-        around = every - lit.medium.unscattered(rays, segment.length) * (every - around)
+    direction = segment.rays.direction
+    around = lit.background(direction)
+    if lit.scene.hidden:
+        every = lit.surroundings(direction)
+        around = jnp.where(first, around, every)
+        if isinstance(lit.medium, Scattered):
+            around = every - lit.medium.unscattered(segment.rays, segment.length) * (every - around)
     if segment.sees_surroundings is None:
         return around
     leaves = segment.sees_surroundings & jnp.isinf(segment.length)

@@ -198,10 +198,14 @@ class Scattered(AbstractMedium):
         """See `AbstractMedium.transmittance`; what is scattered forward passes."""
         return self.medium.transmittance(rays, t_max)
 
+    @property
+    def given(self) -> AbstractMedium:
+        """The medium with its forward lobes."""
+        return self.medium.less_forward([1 - 1 / part.kept for part in self.parts])
+
     def unscattered(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray node"]:
         """Share of what passes that was not scattered forward either [ray, node]; 1 where nothing passes."""
-        given = self.medium.less_forward([1 - 1 / part.kept for part in self.parts])
-        straight, passed = (medium.transmittance(rays, t_max) for medium in (given, self.medium))
+        straight, passed = (medium.transmittance(rays, t_max) for medium in (self.given, self.medium))
         return jnp.where(passed > 0, safe_divide(straight, passed), 1)
 
     def scattering(self, point: Float[Array, "ray 3"], cosine: Float[Array, " ray"]) -> Float[Array, "ray node"]:
