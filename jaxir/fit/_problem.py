@@ -11,6 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Key
 
@@ -46,8 +47,12 @@ class Problem(eqx.Module):
     def data(self) -> int:
         """How many numbers were measured or are known before."""
         known = zip(self.priors, self.coordinates.sizes, strict=True)
-        measured = sum(o.measurement.value.size for o in self.observations)
-        return measured + sum(prior.count(size) for prior, size in known if prior is not None)
+        return self.measured + sum(prior.count(size) for prior, size in known if prior is not None)
+
+    @property
+    def measured(self) -> int:
+        """How many numbers were measured."""
+        return sum(o.measurement.value.size for o in self.observations)
 
     def halves(self, z: Float[Array, " p"]) -> tuple[Float[Array, "block 2 row band"], ...]:
         """Residuals of both halves of the rays in each block, per measurement."""
@@ -93,6 +98,26 @@ class Problem(eqx.Module):
     def robustly(self, r: Float[Array, " row"]) -> Float[Array, " row"]:
         """Residuals whose squares are the loss: r sqrt(2 / (1 + sqrt(1 + (r / robust)^2))), pseudo-Huber."""
         return r * jnp.sqrt(2 / (1 + jnp.sqrt(1 + (r / self.robust) ** 2)))
+
+    def widening(self, residual: Float[Array, " row"]) -> Float[np.ndarray, "row 1"]:
+        """Standard deviation of what each row tells under the robust loss over that under squares; 1 of priors.
+
+        With psi = r / sqrt(1 + (r / robust)^2), half the slope of the loss, its square is E psi^2 / (E psi')^2 (Huber
+        1964). Data whose mean of psi' is less than that of normal ones have outliers for the rest, of psi^2 up to
+        robust^2. Of a mean with none, a tenth and a fifth of outliers of 10, `robust` 1 to 5, 10 to 200 numbers, told
+        over found is .98 to 1.15. On the host.
+        """
+        bend = float(self.robust)
+        if np.isinf(bend):
+            return np.ones((residual.shape[0], 1), residual.dtype)
+        normal = np.linspace(-8.0, 8.0, 16001)
+        weight = np.exp(-(normal**2) / 2) / np.exp(-(normal**2) / 2).sum()
+        square = weight @ (normal**2 / (1 + (normal / bend) ** 2))
+        slope = weight @ (1 + (normal / bend) ** 2) ** -1.5
+        found = np.mean((1 + (np.asarray(residual, np.float64)[: self.measured] / bend) ** 2) ** -1.5)
+        inliers = min(found / slope, 1.0)
+        factor = np.sqrt(inliers * square + (1 - inliers) * bend**2) / (inliers * slope)
+        return np.where(np.arange(residual.shape[0]) < self.measured, factor, 1.0)[:, None].astype(residual.dtype)
 
     def with_values(self, values: Sequence[Any]) -> Problem:
         """The same problem, rays included, with other measured values (one array per measurement, shaped as given)."""

@@ -59,8 +59,9 @@ def fit(
         measurements: see `measured_intensity`, `measured_image`.
         priors: what is known of a parameter, by its name: extra residuals, see `jaxir.fit`.
         solver: of optimistix; `LevenbergMarquardt` by default. `optimistix.LBFGS` suits thousands of parameters.
-        robust: residual, in standard deviations, from which the loss grows linearly (pseudo-Huber). Standard deviations
-            stay those of squares: with `robust` 2 and a tenth of outliers of 10 they are a fifth too small.
+        robust: residual, in standard deviations, from which the loss grows linearly (pseudo-Huber). Outliers
+            widen the standard deviations by what they let the values vary, see `Problem.widening`; where most are too
+            high, or too low, they also shift the values, which no standard deviation tells.
         starts: further starts, physical values [start, p]; all run under one vmap, the best result counts.
         max_steps: of the solver, for each of its walks.
         rounds: how often rays may be traced. They are traced again where the solution has outgrown the images, or
@@ -130,7 +131,8 @@ def solve(
             continue
         end = finish(drifted)
         scene, values, slope = _placed(coordinates, end.z)
-        known = uncertainty(coordinates.labels, coordinates.units, values, slope, end.jacobian)
+        telling = end.jacobian / problem.widening(end.seen.residual)
+        known = uncertainty(coordinates.labels, coordinates.units, values, slope, telling)
         error = tuple((half[:, 0] - half[:, 1]) / (2 * half.shape[0]) for half in end.seen.halves)
         of_rays = np.abs(np.asarray(slope, np.float64)) * _propagated(end.jacobian, error)
         if asked == given:  # more rays at most once

@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 
 import jaxir
-from jaxir.fit import Bounds, Factor, NormalPrior, fit, measured_image
+from jaxir.fit import Bounds, Factor, NormalPrior, fit, measured_image, prepare, solve
 from tests.fit.slabs import DEPTH, TEMPERATURE, looked_at, slab
 
 THREE = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
@@ -64,6 +64,20 @@ def test_few_outliers_suggest_a_robust_loss():
     robust = fit(slab(800.0, 1.0), [TEMPERATURE], among, robust=3.0)
     assert "try robust=3" not in str(robust)
     assert abs(float(robust.uncertainty.value[0]) - 1.25) < abs(float(squares.uncertainty.value[0]) - 1.25) + 1e-4
+
+
+def test_standard_deviations_of_a_robust_fit_cover_what_outliers_do():
+    rng, truth = np.random.default_rng(3), float(looked_at(slab(1000.0, 1.0), THREE[:1]).value[0, 0])
+    value = truth * (1 + 0.01 * rng.normal(size=(50, 48)))
+    value[:, ::8] += 0.1 * truth * rng.choice([-1, 1], (50, 6))  # an eighth, ten standard deviations off
+    value = value[:, :, None, None]
+    eye = jaxir.orthographic_camera(0.0, 0.0, 0.01, (48, 1))
+    problem = prepare(
+        slab(1000.0, 1.0), [TEMPERATURE], [measured_image(eye, THREE[:1], value[0], 0.01 * truth)], robust=3.0
+    )
+    found = [solve(problem.with_values([each])).uncertainty for each in value]
+    z = np.array([(float(u.value[0]) - 1.0) / float(u.standard_deviation[0]) for u in found])
+    assert 0.75 < np.sqrt(np.mean(z**2)) < 1.25
 
 
 @pytest.mark.parametrize("bound", ["upper", "lower"])
