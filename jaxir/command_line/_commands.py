@@ -84,7 +84,7 @@ def warn_of_image(read: SceneFile, image: Image, errors: ErrorBudget, state: str
         spent = f"{int(image.samples)} samples ({_limits(render, read.render)})"
         warnings.warn(f"{read.file}: {missed} was not met{which} with {spent}", stacklevel=2)
     elif bool(image.outcome == Outcome.left_out):
-        said = f"{read.file}: {missed} was not met{which}, because orders, bounces or nodes err by more than that"
+        said = f"{read.file}: {missed} was not met{which}, because orders, bounces, nodes or sunlit cells err by more"
         warnings.warn(said, stacklevel=2)
     warn_of_errors(read, errors)
 

@@ -153,7 +153,8 @@ def budget(
 
 @program
 def _total(parts: list[Array]) -> Array:
-    return safe_sqrt(jnp.sum(jnp.stack(parts) ** 2, axis=0))
+    square = jnp.sum(jnp.stack(parts) ** 2, axis=0)
+    return jnp.where(jnp.isnan(square), square, safe_sqrt(square))
 
 
 @program

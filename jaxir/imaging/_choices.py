@@ -100,21 +100,19 @@ def few_rays(wanted: float, most: int) -> int:
 def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, Float[np.ndarray, " band"]]:
     """A pass of as many bounces as leave out at most `LEFT` of what is asked, and the share they leave out [band].
 
-    Of the intensity that a pilot of the pass finds.
+    Of the intensity that a pilot of the pass finds, with what more bounces would add to it.
     """
     lit = first.lit
     if not lights_its_skin(lit.scene):
         return first, np.zeros(lit.nodes.response.shape[0])
     few = dataclasses.replace(first.method, orders=min(FEW_ORDERS, first.method.orders))
-    intensity = np.zeros(0)
 
-    def allowed() -> np.ndarray:
-        nonlocal intensity
-        intensity = np.abs(pilot(first._replace(method=few)).intensity)
-        asked = np.min([asked.allowed(intensity) for asked in goal.of_intensity], axis=0)
-        return np.where(intensity > 0, LEFT * asked, np.inf)  # of a dark band nothing is asked
+    def allowed(intensity: np.ndarray) -> np.ndarray:
+        return LEFT * np.min([asked.allowed(intensity) for asked in goal.of_intensity], axis=0)
 
-    bounces, left = enough_bounces(lit, first.camera, few, allowed)
+    bounces, left, intensity = enough_bounces(
+        lit, first.camera, few, lambda: pilot(first._replace(method=few)).intensity, allowed
+    )
     share = np.divide(left, intensity, out=np.where(left > 0, np.inf, 0.0), where=intensity > 0)
     return first._replace(method=dataclasses.replace(first.method, bounces=bounces)), share
 

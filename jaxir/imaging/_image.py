@@ -27,7 +27,9 @@ class Outcome(eqx.Enumeration):
     samples_taken = "All samples asked for were taken."
     tolerance_met = "The standard error of every band fell below the tolerance asked for."
     samples_spent = "The samples, or seconds, were spent before the standard error met the tolerance asked for."
-    left_out = "The standard error met the tolerance asked for, but orders, bounces or nodes err more than that."
+    left_out = (
+        "The standard error met the tolerance asked for, but orders, bounces, nodes or sunlit cells err more than that."
+    )
 
 
 class Image(eqx.Module):

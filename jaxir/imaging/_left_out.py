@@ -111,18 +111,24 @@ def _alone(camera: Camera) -> Camera:
 
 
 def enough_bounces(
-    lit: Lit, camera: Camera, method: Method, allowed: Callable[[], Float[np.ndarray, " band"]]
-) -> tuple[int, Float[np.ndarray, " band"]]:
+    lit: Lit,
+    camera: Camera,
+    method: Method,
+    before: Callable[[], Float[np.ndarray, " band"]],
+    allowed: Callable[[Float[np.ndarray, " band"]], Float[np.ndarray, " band"]],
+) -> tuple[int, Float[np.ndarray, " band"], Float[np.ndarray, " band"]]:
     """The fewest bounces, those of a method or more, that leave out at most what is allowed, and what they leave out.
 
     Args:
         lit: with skin.
         camera: the eye.
         method: how light is found else.
-        allowed: finds what is allowed [band] [W sr-1], beside the first look, which has a thread of its own.
+        before: finds the intensity by it [band] [W sr-1], beside the first look, which has a thread of its own.
+        allowed: what may be left out of an intensity [band] [W sr-1]. Of what stays dark it does not matter.
 
     Returns:
-        Bounces, `MOST_BOUNCES` at most, and what more of them would add [band] [W sr-1], see `left_out`.
+        Bounces, `MOST_BOUNCES` at most, what more of them would add [band] [W sr-1], see `left_out`, and the size of
+        the intensity with all of them [band].
     """
     cameras = _alone(camera)
 
@@ -130,12 +136,14 @@ def enough_bounces(
         return np.asarray(left_out(lit, cameras, _further(method, less - method.bounces)), np.float64)[0]
 
     less = method.bounces
-    found, most = side_by_side(look, allowed)
+    found, own = side_by_side(look, before)
+    size = np.abs(own + np.where(np.isfinite(found[0]), found[0], 0))
+    most = np.where((size > 0) | (found[0] > 0), allowed(size), np.inf)
     while True:
         enough = np.flatnonzero((found <= most).all(axis=1))
         if enough.size or less + FURTHER > MOST_BOUNCES:
             place = int(enough[0]) if enough.size else FURTHER - 1
-            return less + place, found[place]
+            return less + place, found[place], size
         further = max(FURTHER + _more(found, most), less)  # each look compiles: few of them
         less = min(less + further, MOST_BOUNCES + 1 - FURTHER)
         found = look()

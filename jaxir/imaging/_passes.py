@@ -25,6 +25,7 @@ from jaxir.imaging._image import Image, Outcome, few_tell, joined
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._pilot import well_shaped
 from jaxir.imaging._planning import plan_pass
+from jaxir.imaging._quadrature import cells_error
 from jaxir.imaging._tolerance import FIRST, Goal, goal_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Scene
@@ -122,7 +123,7 @@ def render(
     def ended(image: Image, met: bool | None, left: Float[np.ndarray, " band"] | None = None) -> Image:
         if met is not None:
             outcome = Outcome.tolerance_met if met else Outcome.samples_spent
-            if met and goal is not None and leaves_out(image, goal, left):
+            if met and goal is not None and leaves_out(image, goal, left, cells_error(first.lit, camera, first.method)):
                 outcome = Outcome.left_out
             image = eqx.tree_at(lambda i: i.outcome, image, outcome, is_leaf=lambda x: isinstance(x, type(outcome)))
         asked = Asked(scene, first.lit.nodes, camera, first.method, None if left is None else as_float(left))
@@ -154,12 +155,17 @@ def render(
     return ended(image, met and wanted <= max_samples, left)
 
 
-def leaves_out(image: Image, goal: Goal, left: Float[np.ndarray, " band"] | None) -> bool:
-    """Whether what is left out of an intensity, of particles or by bounces, or what nodes err exceeds what is asked."""
+def leaves_out(
+    image: Image, goal: Goal, left: Float[np.ndarray, " band"] | None, cells: Float[np.ndarray, " band"]
+) -> bool:
+    """Whether what particles or bounces leave out of an intensity, or nodes or cells err, is more than asked."""
     intensity, contrast = (np.abs(np.asarray(x, np.float64)) for x in (image.radiant_intensity(), image.contrast()))
     shares = ((image.truncation, intensity), (left, intensity), (image.spectral, contrast))
     known = [(share, of) for share, of in shares if share is not None]
-    return any(asked.beyond(intensity, share, of) > 1 for asked in goal.of_intensity for share, of in known)
+    return any(
+        asked.excess(intensity, cells) > 1 or any(asked.beyond(intensity, share, of) > 1 for share, of in known)
+        for asked in goal.of_intensity
+    )
 
 
 def repeated(

@@ -9,6 +9,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._math import dot, matmul
@@ -38,6 +39,13 @@ def refined(scene: Scene) -> list[tuple[AbstractPlume, Scene]]:
 def beams_in_cells(scene: Scene, method: Method) -> bool:
     """Whether cells are lit as their centres are."""
     return method.scattering is None and bool(scene.summed_beams)
+
+
+def cells_error(lit: Lit, camera: Camera, method: Method) -> Float[np.ndarray, " band"]:
+    """What `quadrature_error` tells of sunlit cells in an image [band] [W sr-1]; 0 where there are none."""
+    if not beams_in_cells(lit.scene, method):
+        return np.zeros(lit.nodes.response.shape[0])
+    return np.asarray(_changes((lit, [], True), camera.undivided()), np.float64)
 
 
 def quadrature_error(scene: Scene, nodes: Nodes, cameras: Camera, method: Method) -> Float[Array, "view band"]:

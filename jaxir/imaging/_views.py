@@ -31,6 +31,7 @@ from jaxir.imaging._devices import shared_by, stacked
 from jaxir.imaging._entry import path_doubts, require_parts
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._planning import way_for_views
+from jaxir.imaging._quadrature import beams_in_cells
 from jaxir.imaging._repeated import Repeats, repeats, until_met
 from jaxir.imaging._tolerance import tolerance_of
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
@@ -108,7 +109,8 @@ class Signature(eqx.Module):
     def meets(self, rtol: float | None = None, atol: float | None = None) -> Bool[np.ndarray, " view"]:
         """Whether every band of a view is within a tolerance, as `jaxir.signature` means it.
 
-        The standard error, what is left out of what particles scatter, and what the nodes err, each for itself.
+        The standard error, what is left out of what particles scatter, what the nodes err, and what sunlit cells err,
+        where `asked` tells of them, each for itself.
         """
         asked = tolerance_of(rtol, atol)
         if asked is None:
@@ -117,7 +119,10 @@ class Signature(eqx.Module):
         sampled = asked.excess(intensity, np.asarray(self.standard_error))
         contrast = None if self.contrast is None else np.asarray(self.contrast, np.float64)
         by_nodes = asked.beyond(intensity, 0.0 if self.spectral is None else self.spectral, contrast)
-        return np.maximum.reduce([sampled, by_nodes, asked.beyond(intensity, self.truncation)]) <= 1
+        each = [sampled, by_nodes, asked.beyond(intensity, self.truncation)]
+        if self.asked is not None and beams_in_cells(self.asked.scene, self.asked.method):
+            each.append(asked.excess(intensity, np.asarray(self.asked.quadrature(True), np.float64)))
+        return np.maximum.reduce(each) <= 1
 
 
 class Shared(NamedTuple):

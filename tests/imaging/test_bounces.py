@@ -112,9 +112,27 @@ def test_where_the_first_bounces_do_not_suffice_the_next_looks_are_foretold():
     least = 2 * left_out.FURTHER
     third = np.asarray(left_out.left_out(lit, cameras, jaxir.Method(bounces=least + left_out.FURTHER)))[0]
     allowed = third[9 - least]  # [bounce, band]
-    found, left = left_out.enough_bounces(lit, camera, jaxir.Method(), lambda: allowed)
+
+    def enough(method, allowed):
+        return left_out.enough_bounces(lit, camera, method, lambda: np.ones(2), lambda _: allowed)[:2]
+
+    found, left = enough(jaxir.Method(), allowed)
     assert 8 <= found <= 11 and (left <= allowed).all()
-    assert left_out.enough_bounces(lit, camera, jaxir.Method(bounces=least), lambda: 1.01 * third[0])[0] == least
+    assert enough(jaxir.Method(bounces=least), 1.01 * third[0])[0] == least
+
+
+def test_what_is_seen_by_bounces_alone_is_found():
+    """Of a plate that emits nothing beside a hot one edge-on: f B, f = .2 of squares with one edge in common."""
+    corners = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]]
+    mesh = jaxir.Mesh(corners, [[0, 1, 2], [0, 2, 3], [0, 3, 5], [0, 5, 4]])
+    kelvin, emissivity = np.repeat([600.0, 3.0], 2), np.repeat([1.0, 0.5], 2)
+    scene = jaxir.Scene(jaxir.Skin(mesh, kelvin, jaxir.Lambert(emissivity)))
+    camera = jaxir.orthographic_camera(0.0, 0.0, 1 / 16, (20, 20), target=(0.5, 0.5, 0.5))
+    factor = 0.200044
+    true = 0.5 * factor * float(jaxir.band_radiance(600.0, jaxir.LWIR)[0])
+    image = jaxir.render(scene, camera, LWIR, rtol=0.02)
+    assert image.asked.method.bounces == 1 and image.outcome == jaxir.Outcome.tolerance_met
+    assert abs(float(image.radiant_intensity()[0]) - true) < 3.5 * float(image.intensity_error()[0]) < 0.08 * true
 
 
 def test_a_sweep_keeps_the_way_that_was_chosen(tmp_path):

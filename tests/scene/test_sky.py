@@ -143,13 +143,21 @@ def test_a_sun_by_night_is_doubted():
     assert float(jaxir.Sun(-30.0, 0.0, air=jaxir.PathToSpace(0.0, -30.0)).on(NODES).irradiance.max()) == 0
 
 
-def test_gradients_of_sun_and_sky_are_finite():
+@pytest.mark.parametrize("elevation", [-8.0, -90.0])
+def test_the_ground_is_dark_by_night(elevation):
+    """Paths from the ground to a Sun far below the horizon lead through the earth."""
+    lit = jaxir.ClearSky(1e3, sun=jaxir.Sun(elevation, 0.0)).on(NODES).radiance
+    np.testing.assert_array_equal(lit, jaxir.ClearSky(1e3).on(NODES).radiance)
+
+
+@pytest.mark.parametrize("elevation", [40.0, -40.0])
+def test_gradients_of_sun_and_sky_are_finite(elevation):
     def total(values):
         sun = jaxir.Sun(values[1], 0.0, air=jaxir.PathToSpace(0.0, values[1]))
         return jaxir.ClearSky(values[0] * 1e3, sun=sun).on(NODES).radiance.sum()
 
-    slope = jax.jit(jax.grad(total))(jnp.asarray([10.0, 40.0]))
-    assert np.isfinite(slope).all() and np.all(np.asarray(slope) != 0)
+    slope = np.asarray(jax.jit(jax.grad(total))(jnp.asarray([10.0, elevation])))
+    assert np.isfinite(slope).all() and slope[0] != 0 and (slope[1] != 0) == (elevation > 0)
 
 
 def test_the_order_of_sun_and_sky_does_not_matter():

@@ -105,9 +105,10 @@ class ClearSky(AbstractBackground):
         level, low = horizon(altitude), jnp.maximum(profile.altitude[0], 0)
         share, (sine, weight) = as_float(np.linspace(0, 1, ROWS) ** 3), _zeniths()
         above, below = level + (90 - level) * share, level - (90 + level) * share[::-1]
-        high = self._sun_elevation()
+        high = as_float(-90.0) if self.sun is None else self.sun.elevation
         # All paths of one program: down and up from the target, up from the ground, and from there to the Sun.
-        from_ground = jnp.concatenate([jnp.rad2deg(jnp.arcsin(sine)), high[None]])
+        shining = jnp.where(high > 0, high, 90.0)  # from below the horizon none comes; paths there would meet the earth
+        from_ground = jnp.concatenate([jnp.rad2deg(jnp.arcsin(sine)), shining[None]])
         sights = [
             jax.vmap(lambda e: to_ground(altitude, e))(below),
             jax.vmap(lambda e: to_sky(profile, altitude, e))(above),
@@ -130,10 +131,6 @@ class ClearSky(AbstractBackground):
         behind = jnp.where((jnp.arange(2 * ROWS) < ROWS)[:, None], ground[None], 0)
         radiance = passed[: 2 * ROWS] * behind + emitted[: 2 * ROWS]
         return ElevationTable(jnp.concatenate([below, above]), radiance)
-
-    def _sun_elevation(self) -> Float[Array, ""]:
-        """Elevation of the Sun [deg]; that of the zenith without one, where its path is short."""
-        return as_float(90.0) if self.sun is None else self.sun.elevation
 
     def _sunlight(self, nodes: Nodes, passed: Float[Array, " node"]) -> Float[Array, " node"]:
         """Irradiance across the Sun's beam at the ground, to which the air lets `passed` through."""
