@@ -39,7 +39,7 @@ from jaxir.fit._walk import (
     Reached,
     Seen,
     Solution,
-    best,
+    best_way,
     linearised,
     look,
     newton_step,
@@ -112,7 +112,7 @@ def lead(problem: Problem, starts: Array, max_steps: int) -> tuple[Reached, Fini
     kept = problem.surrogate
     assert isinstance(kept, Surrogate)
     few, steering = predicted_by(problem, kept.leading), predicted_by(problem, kept.steering)
-    near = best(steering, starts, walk(few, starts, None, None, max_steps, jnp.array([True])))
+    near = best_way(few, steering, starts, None, None, max_steps, [True])
     asked, more = _approach(problem, steering, near)
     near = near._replace(z=asked.z, seen=asked.seen, steps=near.steps + more)
 

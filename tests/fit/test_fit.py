@@ -91,6 +91,24 @@ def test_starts_priors_and_a_robust_loss(survey):
     assert off(robust).max() < 4 < off(squares).max()
 
 
+def test_one_gross_error_does_not_lead_a_robust_fit_astray():
+    """On a logarithmic scale it draws ten times as much as in the loss: to where the body is black, or white."""
+    bands = (jaxir.SWIR, *BANDS)
+    sun = jaxir.ParallelSource((-0.6, 0.0, -0.8), [300.0, 20.0, 1.5])
+
+    def box(temperature, emissivity):
+        return jaxir.Scene(jaxir.Skin(box_mesh((2, 4, 1)), temperature, jaxir.Lambert(emissivity)), sources=sun)
+
+    views, truth, start = [(0, 0), (45, 30), (90, 60), (200, -20)], box(420.0, 0.65), box(350.0, 0.5)
+    intensity = np.stack([jaxir.unoccluded_intensity(truth, *view, bands) for view in views])
+    spread = 0.03 * intensity
+    spoiled = intensity.copy()
+    spoiled[0, 1] *= 10
+    measured = measured_intensity(start, views, bands, spoiled, spread, shape=(16, 16))
+    found = fit(start, [part_temperature("skin"), part_emissivity("skin")], [measured], robust=3.0)
+    np.testing.assert_allclose(found.uncertainty.value, [420.0, 0.65], rtol=0.05)
+
+
 def test_an_image_fits_a_field_of_many_numbers_in_reverse_mode():
     rng = np.random.default_rng(5)
     shape = (1, 12, 10)
