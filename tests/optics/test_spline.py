@@ -30,3 +30,13 @@ def test_weights_are_those_of_a_spline_with_tangents_at_its_ends(precision, coun
     error = 32 * np.finfo(precision).eps + (1e-9 if count > 20 else 1e-12)  # of the slopes, found on the host
     for found, exact in ((own, expected), (slope, known)):
         assert np.all(np.abs(found - exact).max(axis=1) <= error * np.abs(exact).sum(axis=1))
+
+
+def test_second_derivatives_are_right_at_the_levels(x64):
+    """The piece ends there, and the next begins with the same one."""
+    levels = -1000.0 / np.linspace(250.0, 3000.0, 12)
+    slopes, place = spline_slopes(levels), np.sort(np.concatenate([levels[1:-1], levels[1:] - 0.01]))
+    weights = lambda p: spline_weights(jnp.asarray(levels), slopes, p)  # noqa: E731
+    found = jax.jit(jax.vmap(jax.jacfwd(jax.jacfwd(weights))))(jnp.asarray(place))
+    exact = make_interp_spline(levels, np.eye(12))(place, nu=2)
+    np.testing.assert_allclose(found, exact, atol=1e-9 * np.abs(exact).max())

@@ -43,14 +43,19 @@ def spline_weights(
 
         w_i = phi_i + sum_j psi_j slope_ji,    phi = (1 + 2 s) (1 - s)^2,    psi = d (1 - s)^2.
 
-    Differentiable in `place`, once continuously at the ends.
+    Differentiable in `place`, twice continuously between the ends and once there.
     """
     cell = (1,) * place.ndim + levels.shape
     apart = place[..., None] - levels.reshape(cell)
     step = jnp.diff(levels)
     end = jnp.full_like(levels[:1], jnp.inf)  # beyond it the tangent: s = 0
     after, before = (jnp.concatenate(pair) for pair in ((step, end), (end, step)))
-    share = jnp.minimum(apart / jnp.where(apart > 0, after.reshape(cell), -before.reshape(cell)), 1)
+    past = apart > 0
+    edge = [(0, 0)] * place.ndim
+    next_past = jnp.pad(past[..., 1:], [*edge, (0, 1)])
+    last_past = jnp.pad(past[..., :-1], [*edge, (1, 0)], constant_values=True)
+    ends = jnp.where(past, ~next_past, last_past)  # of the piece; at its upper end the share of the lower one is 1
+    share = jnp.where(ends, apart / jnp.where(past, after.reshape(cell), -before.reshape(cell)), 1)
     falls = (1 - share) ** 2
     tangents = matmul(apart * falls, as_float(slopes))
     return (1 + 2 * share) * falls + tangents
