@@ -146,7 +146,8 @@ class Method(Physical):
             backgrounds among the sources) is found; None leaves it out.
         bounces: how often paths go on from skin. 0 takes the light of `direct` alone. The error left out is at most
             reflectance^(bounces + 1) of the brightest radiance around.
-        orders: how often at most a path is scattered by particles. Light scattered more often is left out: for
+        orders: how often at most a path is scattered by particles; what is summed along its segments comes on top, so
+            that parallel light in a single grid is scattered once more. Light scattered more often is left out: for
             particles that absorb nothing, about 1e-3 of the light through a plume of optical depth 1 beyond 10 orders,
             7 % of it at 4; `Image.truncation` estimates it.
         sampler: how even the random points of one decision are.

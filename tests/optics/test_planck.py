@@ -15,6 +15,7 @@ from jaxir.optics.spectrum import (
     brightness_temperature,
     gray_nodes,
     spectral_radiance,
+    spectral_radiance_on_host,
     spectral_radiance_wavelength,
     wavelength_to_wavenumber,
 )
@@ -213,3 +214,14 @@ def test_bands_with_wrong_edges_are_refused(edges):
 def test_no_band_is_refused():
     with pytest.raises(ValueError, match="bands: got"):
         gray_nodes(())
+
+
+def test_the_temperature_that_a_filter_shows_is_that_behind_it():
+    """The radiance that passes it, by the trapezoidal rule in double precision; of a band it is a part."""
+    wavelength, passes = [3.0, 3.5, 4.0, 4.2, 5.0], [0.0, 1.0, 0.2, 1.0, 0.0]
+    micron = np.linspace(3.0, 5.0, 200_001)
+    kelvin, nu = [220.0, 300.0, 1500.0], 1e4 / micron
+    spectral = np.stack([spectral_radiance_on_host(nu, each) for each in kelvin]) * nu**2 / 1e4
+    seen = np.trapezoid(np.interp(micron, wavelength, passes) * spectral, micron, axis=1)[:, None]
+    found = brightness_temperature(seen, jaxir.sensor_band("filter", wavelength, passes))
+    np.testing.assert_allclose(found[:, 0], kelvin, rtol=2e-4)

@@ -27,13 +27,22 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxir._arrays import Check, as_float, as_one_program, known, non_negative, require, thermal
 from jaxir._math import gauss_legendre, on_platform
-from jaxir.optics.spectrum._band import SECOND_RADIATION, Band, Nodes, as_nodes, wavelength_to_wavenumber
+from jaxir.optics.spectrum._band import (
+    SECOND_RADIATION,
+    Band,
+    Nodes,
+    as_bands,
+    as_nodes,
+    wavelength_to_wavenumber,
+)
+from jaxir.optics.spectrum._resolve import resolved_nodes
 
 FIRST_RADIATION = 1.1910429723971884e-8  # 2 h c^2 [W m-2 sr-1 / (cm-1)^4], exact since 2019 (CODATA 2018)
 STEFAN = FIRST_RADIATION / SECOND_RADIATION**4  # K [W m-2 sr-1 K-4]; sigma = pi^5 K / 15
 _STRETCH = 6.0
 _POINTS = {4: 10, 8: 40}  # Gauss-Legendre points by dtype size
 _BLOCK = 512  # temperatures
+_NARROW = 25.0  # bins in which the response of a band is taken as its mean [cm-1], and narrower ones where it varies
 _HOTTER = 4.0  # times by which a step of Newton's method raises a temperature at most, which would pass infinity
 _WRITTEN_OUT = 10  # points that are terms of one expression at most
 
@@ -82,7 +91,7 @@ def band_radiance(
 
     Args:
         temperature: T > 0 [*batch] [K].
-        nodes: the bins, or bands, each of which is one.
+        nodes: the bins, or bands, each of which is one, whatever its response.
 
     Returns:
         Radiance [*batch, node] [W m-2 sr-1]; underflows to exactly 0 for x1 beyond 87 in float32.
@@ -247,7 +256,7 @@ def brightness_temperature(
 
     Args:
         radiance: in-band radiance >= 0 [*batch, band] [W m-2 sr-1].
-        nodes: the bins of the bands, or bands, each of which is one.
+        nodes: the bins of the bands, or bands; of one with a response the radiance is that which passes it.
 
     Returns:
         Temperature [*batch, band] [K]; 0 where nothing arrives.
@@ -264,6 +273,8 @@ def brightness_temperature(
 @as_one_program
 def _brightness_temperature(radiance: Array, nodes: Nodes | Band | Sequence[Band]) -> Array:
     some = radiance > 0
+    if not isinstance(nodes, Nodes) and any(band.response is not None for band in as_bands(nodes)):
+        nodes = resolved_nodes(nodes, _NARROW, 1, 0)
     inverse = _inverse_temperature(jnp.log(jnp.where(some, radiance, 1)), as_nodes(nodes))
     return jnp.where(some, 1 / inverse, 0)
 
