@@ -1,7 +1,7 @@
 """What the command line computes is what the file says of each state, and all of it is written."""
 
-import os
 import re
+import tempfile
 from functools import wraps
 from pathlib import Path
 from types import SimpleNamespace
@@ -144,7 +144,12 @@ def test_nothing_is_written_over_what_a_scene_is_read_from(command, names, messa
 
 
 def test_a_folder_that_may_not_be_written_is_said_at_once(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(os, "access", lambda folder, mode: False)
+    """Root may write where the mode of a folder forbids it."""
+
+    def refused(dir):
+        raise PermissionError(13, "Permission denied", str(dir))
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refused)
     assert main(["render", str(write_scene(tmp_path)), "-o", str(tmp_path / "a.npz")]) == 1
     assert f"a.npz: the folder {tmp_path} may not be written" in capsys.readouterr().err
 

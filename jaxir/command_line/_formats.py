@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import itertools
-import os
 import stat
+import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -158,8 +158,10 @@ def _require_target(path: Path) -> None:
     with contextlib.suppress(FileNotFoundError):
         if stat.S_ISDIR(path.stat().st_mode):
             raise ValueError("got a folder, expected a file")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise ValueError(f"the folder {path.parent} may not be written")
+    try:  # what the folder's mode says does not hold for every user and file system
+        tempfile.TemporaryFile(dir=path.parent).close()
+    except OSError as error:
+        raise ValueError(f"the folder {path.parent} may not be written") from error
 
 
 def write(formats: dict[str, Format], paths: Iterable[Path], *result: Any, **options: str) -> None:

@@ -28,7 +28,7 @@ def written_whole(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary path beside `path` that takes its name when the block ends without an error, else vanishes.
 
     Raises:
-        ValueError: the folder of `path` does not exist, or `path` is a folder.
+        ValueError: the folder of `path` does not exist or may not be written, or `path` is a folder.
     """
     final = Path(path)
     if final.is_dir():
@@ -36,7 +36,10 @@ def written_whole(path: str | os.PathLike) -> Iterator[Path]:
     if not final.parent.is_dir():
         raise ValueError(f"{final}: the folder {final.parent} does not exist")
     short = os.fsencode(final.name)[:_LONGEST_PART].decode(errors="ignore")  # file systems bound the whole name
-    handle, name = tempfile.mkstemp(dir=final.parent, prefix=f".{short}.", suffix=final.suffix)
+    try:
+        handle, name = tempfile.mkstemp(dir=final.parent, prefix=f".{short}.", suffix=final.suffix)
+    except OSError as error:
+        raise ValueError(f"{final}: the folder may not be written ({error.strerror})") from error
     os.close(handle)
     part = Path(name)
     try:
@@ -61,7 +64,7 @@ def require_file(path: str | os.PathLike) -> Path:
     """
     file = Path(path)
     if not file.is_file():
-        raise ValueError(f"{file}: no such file")
+        raise ValueError(f"{file}: is a folder, expected a file" if file.is_dir() else f"{file}: no such file")
     return file
 
 
