@@ -34,7 +34,7 @@ from jaxir._plausible import ELEVATION, usual
 from jaxir.geometry._ray import Bundle
 
 TILE = 16
-MARGIN = 1e-4  # beside what a camera is fitted to, of half the image, for rounding: rays that meet nothing hardly tell
+MARGIN = 1e-5  # beside what a camera is fitted to, of half the image, for rounding: rays that meet nothing hardly tell
 _RADIAN = usual(1e-8, 0.2, "rad", above="is it in degrees, mrad or urad?")
 
 

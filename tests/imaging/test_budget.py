@@ -1,6 +1,7 @@
 """What stands behind an intensity: the nodes by default, light in a band, and every part of the error told."""
 
 import contextlib
+import dataclasses
 import itertools
 
 import jax
@@ -253,9 +254,30 @@ def test_what_cells_err_that_are_lit_as_their_centres_is_told():
     assert apart < float(image.error_budget().quadrature[0]) < 2 * apart
 
 
+def test_a_tolerance_counts_what_cells_err_that_are_lit_as_their_centres():
+    """Of depth 1 each some tenths, of an eighth of that hardly anything; fine cells are as good as a lattice."""
+    phase, sun = jaxir.HenyeyGreenstein(0.0), jaxir.ParallelSource((0.0, 0.0, -1.0), 100.0)
+    method, camera = jaxir.Method(orders=2), jaxir.orthographic_camera(20.0, 30.0, 0.5, (8, 8))
+
+    def scene(count):
+        grid = jaxir.Grid((-1.0, -1.0, -1.0), (2 / count,) * 3, (count,) * 3)
+        particles = jaxir.GrayParticles(1.5, 0.1, phase)
+        return jaxir.Scene(plumes=jaxir.GridPlume(grid, 3.0, jaxir.GrayGas(0.0), particles), sources=sun)
+
+    ends = {}
+    for count in (3, 24):
+        image = jaxir.render(scene(count), camera, MWIR, rtol=0.1, method=method)
+        views = jaxir.signature(scene(count), [(20.0, 30.0)], MWIR, method=method, shape=(8, 8))
+        ends[count] = image.outcome, bool(views.meets(0.1)[0])
+    assert ends[3] == (jaxir.Outcome.left_out, False) and ends[24] == (jaxir.Outcome.tolerance_met, True)
+    assert jaxir.plan(scene(3), camera, MWIR, 0.1, method=method).truncation > 0.1
+
+
 def test_a_budget_prints_every_part():
     image = jaxir.render(slab(), PIXEL, BANDS, samples=2)
     errors = image.error_budget()
+    unknown = dataclasses.replace(errors, sampling=errors.sampling * jnp.nan)
+    assert np.isnan(unknown.total).all() and "nan" in str(unknown)
     np.testing.assert_array_equal(image.spectral, scene_nodes(slab(), BANDS).error)
     np.testing.assert_allclose(np.asarray(errors.spectral) / np.asarray(errors.intensity), image.spectral, rtol=1e-5)
     lines = str(errors).splitlines()
