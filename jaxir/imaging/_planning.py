@@ -54,7 +54,8 @@ class Plan(NamedTuple):
         compile_seconds: what compiling the chosen method's pilot took, and solving for the light in plumes, once.
         tolerance: asked.
         expected: predicted standard error over intensity, of the worst band.
-        truncation: estimated share of the intensity that is left out of what particles scatter, of the worst band.
+        truncation: estimated share of the intensity that is left out of what particles scatter, or wrong as sunlit cells
+            are lit as their centres, of the worst band.
         bounces: and of what skin reflects more often than the method's `bounces`; None where a method was given.
     """
 
@@ -91,8 +92,8 @@ def plan(
     chosen without trial: the exact sum over cells, delta sources. For reflected light, by a closed form where its
     conditions hold or sampled, every candidate computes a few chunks of the image; variance as it falls with the rays
     (`ErrorLaw`), and time, as it grows with them, decide. So for light that particles scatter, sampled up to few or
-    more orders or solved on a coarse or finer lattice: among those that leave out less than the error asked for, if
-    there are any. Where skin may meet the light of skin or plumes, few paths are followed further
+    more orders or solved on a coarse or finer lattice: among those that leave out, and err in sunlit cells, less than
+    the error asked for, if there are any. Where skin may meet the light of skin or plumes, few paths are followed further
     first, and bounces are the fewest beyond which they bring at most half of what is asked. Where the rays or seconds
     allowed suffice by no way it is that of least error.
 
@@ -220,8 +221,8 @@ def _by_particles(scene: Scene, trials: list[Trial], chosen: Choice) -> list[Ter
     if not scene.scatters:
         return []
     once = "parallel light scattered once is summed over the cells, " if scene.summed_beams else ""
-    method, left = chosen.trial.method, f"leaves out about {chosen.trial.truncation:.2g} of the intensity"
-    others = "; ".join(f"{_way(t.method)} would leave out {t.truncation:.2g}" for t in trials if t is not chosen.trial)
+    method, left = chosen.trial.method, f"lacks about {chosen.trial.truncation:.2g} of the intensity"
+    others = "; ".join(f"{_way(t.method)} would lack {t.truncation:.2g}" for t in trials if t is not chosen.trial)
     others = others and f" ({others})"
     if method.scattering is not None:
         exact = method.scattering.orders == 0

@@ -201,6 +201,6 @@ def test_particles_get_orders_where_those_leave_out_little_and_else_a_lattice(mo
     assert "what it errs sampled up to 2 times" in strict.terms[1].sentence
     told = str(again).splitlines()[1]
     assert told.startswith("Particles: light scattered however often, by a lattice of 7 x 7 points")
-    assert "forced collision up to 10 times would leave out" in told
+    assert "forced collision up to 10 times would lack" in told
     table = jaxir.signature(cloud(6.0), [(30.0, 20.0), (0.0, 90.0)], jaxir.MWIR, shape=(16, 16), rtol=0.07)
     assert table.asked.method == thick and table.meets(0.07).all() and not table.meets(0.01).any()
