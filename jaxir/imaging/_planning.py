@@ -54,8 +54,8 @@ class Plan(NamedTuple):
         compile_seconds: what compiling the chosen method's pilot took, and solving for the light in plumes, once.
         tolerance: asked.
         expected: predicted standard error over intensity, of the worst band.
-        truncation: estimated share of the intensity that is left out of what particles scatter, or wrong as sunlit cells
-            are lit as their centres, of the worst band.
+        truncation: estimated share of the intensity that is left out of what particles scatter, or that sunlit cells
+            err as they are lit as their centres, of the worst band.
         bounces: and of what skin reflects more often than the method's `bounces`; None where a method was given.
     """
 
@@ -93,9 +93,9 @@ def plan(
     conditions hold or sampled, every candidate computes a few chunks of the image; variance as it falls with the rays
     (`ErrorLaw`), and time, as it grows with them, decide. So for light that particles scatter, sampled up to few or
     more orders or solved on a coarse or finer lattice: among those that leave out, and err in sunlit cells, less than
-    the error asked for, if there are any. Where skin may meet the light of skin or plumes, few paths are followed further
-    first, and bounces are the fewest beyond which they bring at most half of what is asked. Where the rays or seconds
-    allowed suffice by no way it is that of least error.
+    the error asked for, if there are any. Where skin may meet the light of skin or plumes, few paths are followed
+    further first, and bounces are the fewest beyond which they bring at most half of what is asked. Where the rays or
+    seconds allowed suffice by no way it is that of least error.
 
     Args:
         scene: the scene.
