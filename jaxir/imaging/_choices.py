@@ -97,6 +97,11 @@ def few_rays(wanted: float, most: int) -> int:
     return next((count for count in well_shaped(most) if count >= max(wanted, FEW)), well_shaped(most)[-1])
 
 
+def by_few_orders(method: Method) -> Method:
+    """A method by which bounces are looked for."""
+    return dataclasses.replace(method, orders=min(FEW_ORDERS, method.orders))
+
+
 def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, Float[np.ndarray, " band"]]:
     """A pass of as many bounces as leave out at most `LEFT` of what is asked, and the share they leave out [band].
 
@@ -105,7 +110,7 @@ def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, Float[np.ndarray, " ban
     lit = first.lit
     if not lights_its_skin(lit.scene):
         return first, np.zeros(lit.nodes.response.shape[0])
-    few = dataclasses.replace(first.method, orders=min(FEW_ORDERS, first.method.orders))
+    few = by_few_orders(first.method)
 
     def allowed(intensity: np.ndarray) -> np.ndarray:
         return LEFT * np.min([asked.allowed(intensity) for asked in goal.of_intensity], axis=0)

@@ -75,7 +75,7 @@ class Asked(eqx.Module):
         if not look:
             return None
         with evaluated_now():
-            found = left_out(on_nodes(self.scene, self.nodes), self._views(), _further(self.method, 0))
+            found = left_out(on_nodes(self.scene, self.nodes), self._views(), further(self.method))
             return self._by_view(found[:, 0])
 
     def outside(self) -> Float[Array, " band"]:
@@ -133,7 +133,7 @@ def enough_bounces(
     cameras = _alone(camera)
 
     def look() -> Float[np.ndarray, "bounce band"]:
-        return np.asarray(left_out(lit, cameras, _further(method, less - method.bounces)), np.float64)[0]
+        return np.asarray(left_out(lit, cameras, further(method, less - method.bounces)), np.float64)[0]
 
     less = method.bounces
     found, own = side_by_side(look, before)
@@ -144,8 +144,8 @@ def enough_bounces(
         if enough.size or less + FURTHER > MOST_BOUNCES:
             place = int(enough[0]) if enough.size else FURTHER - 1
             return less + place, found[place], size
-        further = max(FURTHER + _more(found, most), less)  # each look compiles: few of them
-        less = min(less + further, MOST_BOUNCES + 1 - FURTHER)
+        more = max(FURTHER + _more(found, most), less)  # each look compiles: few of them
+        less = min(less + more, MOST_BOUNCES + 1 - FURTHER)
         found = look()
 
 
@@ -158,7 +158,7 @@ def _more(found: Float[np.ndarray, "bounce band"], allowed: Float[np.ndarray, " 
     return int(wanted[short].max()) - 1 if short.any() and wanted[short].max() >= 1 else 0
 
 
-def _further(method: Method, more: int) -> Method:
+def further(method: Method, more: int = 0) -> Method:
     """A method that follows paths `FURTHER` bounces beyond some more than its own."""
     return dataclasses.replace(method, bounces=method.bounces + more + FURTHER)
 

@@ -16,9 +16,19 @@ from jaxir._arrays import as_float, float_dtype, is_traced, key_or_default, plac
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.imaging._adaptive import Look, seconds_of
-from jaxir.imaging._choices import FEW, Choice, Trial, best_way, few_rays, rays_to_see, suffices, with_bounces
+from jaxir.imaging._choices import (
+    FEW,
+    Choice,
+    Trial,
+    best_way,
+    by_few_orders,
+    few_rays,
+    rays_to_see,
+    suffices,
+    with_bounces,
+)
 from jaxir.imaging._chunks import Pass, as_number, division, first_pass, parts_for
-from jaxir.imaging._left_out import lights_its_skin
+from jaxir.imaging._left_out import further, left_out, lights_its_skin
 from jaxir.imaging._tolerance import Goal, Tolerance, goal_of
 from jaxir.optics.spectrum import Band, Nodes
 from jaxir.scene import Lit, Scene
@@ -173,9 +183,10 @@ def plan_pass(
 def way_for_views(
     lit: Lit, cameras: Camera, key: Key[Array, ""], goal: Goal
 ) -> tuple[Method, Float[np.ndarray, " band"]]:
-    """How light is found in all views of a signature: as the most demanding of `VIEWED`, spread evenly, asks for.
+    """How light is found in all views of a signature, as the most demanding of some asks for.
 
-    And the largest share of their intensities that bounces leave out [band].
+    Of `VIEWED`, spread evenly, and in each band of that in which bounces bring most. And the largest share of their
+    intensities that bounces leave out [band].
 
     Args:
         lit: the scene on the nodes.
@@ -184,12 +195,16 @@ def way_for_views(
         goal: what is asked of each view.
     """
     scene, bounces, left = lit.scene, 0, np.zeros(lit.nodes.response.shape[0])
-    several = bool(scene.area_sources) or scene.scatters
-    if not (several or lights_its_skin(scene)):
+    several, lit_by_skin = bool(scene.area_sources) or scene.scatters, lights_its_skin(scene)
+    if not (several or lit_by_skin):
         return Method(), left
     chosen: Choice | None = None
     count = cameras.frame.shape[0]
-    for view in np.unique(np.linspace(0, count - 1, VIEWED).round().astype(np.int32)):
+    looked_at = np.linspace(0, count - 1, VIEWED).round().astype(np.int32)
+    if lit_by_skin and count > VIEWED:
+        brought = np.asarray(left_out(lit, cameras, further(by_few_orders(Method().resolved(scene)))))[:, 0]
+        looked_at = np.concatenate([looked_at, np.argmax(brought, axis=0).astype(np.int32)])
+    for view in np.unique(looked_at):
         camera = jax.tree.map(lambda leaf, view=view: placed(np.asarray(leaf)[view]), cameras)
         first = Pass(lit, camera, key, as_number(0), division(FEW, True), Method().resolved(scene), parts_for())
         first, own = with_bounces(first, goal)

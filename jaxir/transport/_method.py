@@ -108,6 +108,11 @@ class DiscreteOrdinates(Physical):
     that is scattered more often, which is the lattice's, and the pieces by which its light is summed along a ray:
     `Image.truncation` tells both, the first by what the last order changed.
 
+    In few cells of very different density points that lie on the cells' sides are the worst (`along` - 1 and the number
+    of cells with a common divisor): of 3 cells a side that glow, their densities over three decades, 10, 13 and 16
+    points err by 5, 3 and 2 %, told 2, 1.4 and 1 %, and 11, 14 and 17 by .9 to 1.7 %, told as much. In cells that are
+    alike they are the best.
+
     Sources with an extent at a finite distance are not for it: sample (`Method.orders`).
 
     Attributes:

@@ -5,6 +5,7 @@ import functools
 import jax
 import numpy as np
 import pytest
+import trimesh
 
 import jaxir
 from jaxir import LWIR, MWIR
@@ -133,6 +134,18 @@ def test_what_is_seen_by_bounces_alone_is_found():
     image = jaxir.render(scene, camera, LWIR, rtol=0.02)
     assert image.asked.method.bounces == 1 and image.outcome == jaxir.Outcome.tolerance_met
     assert abs(float(image.radiant_intensity()[0]) - true) < 3.5 * float(image.intensity_error()[0]) < 0.08 * true
+
+
+def test_a_view_into_a_cavity_is_looked_at_among_many():
+    """A box open to the nose, of whose outside bounces bring nothing; five views spread evenly miss its inside."""
+    mesh = trimesh.creation.box((4.0, 1.0, 1.0))
+    walls = mesh.faces[mesh.face_normals[:, 0] < 0.5]
+    skin = jaxir.Skin(jaxir.Mesh(mesh.vertices, walls), 900.0, jaxir.Lambert(0.3))
+    views = [(azimuth, 0.0) for azimuth in (180, 0, 170, 90, 100, 120, 140)]
+    table = jaxir.signature(jaxir.Scene(skin), views, LWIR, rtol=0.1, **RASTER)
+    black = float(jaxir.band_radiance(900.0, LWIR)[0])
+    assert table.asked.method.bounces > 2
+    assert 0.75 * black < float(table.intensity[1, 0]) < black  # of an area of 1 m2
 
 
 def test_a_sweep_keeps_the_way_that_was_chosen(tmp_path):

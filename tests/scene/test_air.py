@@ -16,7 +16,7 @@ from jaxir.optics.air import (
     us_standard_1976,
 )
 from jaxir.optics.spectrum import LWIR, MWIR, SWIR, Band, band_radiance, gray_nodes, resolved_nodes
-from jaxir.scene.air import StandardAtmosphere, TableAtmosphere, UniformAtmosphere
+from jaxir.scene.air import PathToSpace, StandardAtmosphere, TableAtmosphere, UniformAtmosphere
 
 BANDS = (SWIR, MWIR, LWIR)
 GROUND = (0.0, 10e3, 11544.0)  # sensor on the ground, target at 10 km, 30 degrees off the zenith
@@ -130,6 +130,30 @@ def test_standard_atmosphere_gradients(x64):
     for slope, step in zip(reverse, 1e-5 * np.eye(5), strict=True):
         after, before = (float(every(jnp.asarray(at + sign * step))[0]) for sign in (1, -1))
         assert float(slope) == pytest.approx((after - before) / 2e-5, rel=1e-5)
+
+
+@pytest.mark.parametrize("altitude, distance", [(0.0, 5e3), (3e3, 5e3), (10e3, 20e3), (12e3, 1.0)])
+def test_slopes_before_hot_gas_are_the_same_in_both_modes(altitude, distance):
+    """In single precision, where some slots let nothing through, or all."""
+    nodes = resolved_nodes(MWIR, points=2, pair_points=0)
+
+    def passed(values):
+        return jnp.sum(
+            StandardAtmosphere(values[0], values[0], values[1]).in_front_of(nodes, jnp.asarray(900.0)).transmittance
+        )
+
+    at = jnp.asarray([altitude, distance])
+    forward, reverse = jax.jit(lambda at: (jax.jacfwd(passed)(at), jax.grad(passed)(at)))(at)
+    assert np.isfinite(forward).all() and np.any(np.asarray(forward) != 0)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-3, atol=1e-6 * np.abs(forward).max())
+
+
+@pytest.mark.parametrize("elevation", [-8.0, -90.0])
+def test_through_the_earth_nothing_comes_and_nothing_changes(elevation):
+    nodes = resolved_nodes(MWIR, width=200.0, points=1)
+    at = jnp.asarray([3000.0, elevation])
+    passed = jax.jit(jax.value_and_grad(lambda at: jnp.sum(PathToSpace(at[0], at[1]).on(nodes).transmittance)))
+    np.testing.assert_array_equal(np.hstack(passed(at)), np.zeros(3))
 
 
 def test_table_is_averaged_over_bins(precision):

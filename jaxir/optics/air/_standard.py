@@ -28,7 +28,7 @@ EARTH_RADIUS = 6371.0e3  # m
 _SEGMENTS = 24
 _BOLTZMANN = 1.380649e-23  # J / K
 _CO2_IN_AIR = 400e-6  # orders the slots; how much passes is the fit's
-_TINY = 1e-30
+_OPAQUE = 1e-15  # transmittance up to which it does not matter how it is shared among slots
 _GAUSS = (0.5 - 0.5 / 3**0.5, 0.5 + 0.5 / 3**0.5)
 
 
@@ -183,8 +183,9 @@ def slot_path(air: PathAir, nodes: Nodes, hottest: Float[Array, ""]) -> tuple[Ar
     own = _own_lines(air, cells)  # [2, segment, bin, slot]
     mean = matmul(own, as_float(cell_shares(own.shape[-1])))[..., None]
     fitted = jnp.exp(-air.uniform[:, rows])[None, :, :, None]
-    darker = own * jnp.minimum(fitted / jnp.maximum(mean, _TINY), 1)
-    brighter = 1 - (1 - own) * jnp.minimum((1 - fitted) / jnp.maximum(1 - mean, _TINY), 1)
+    some, others = mean > _OPAQUE, mean < 1  # squares of what is left out underflow where slopes divide by them
+    darker = own * jnp.minimum(jnp.where(some, fitted, 1) / jnp.where(some, mean, 1), 1)
+    brighter = 1 - (1 - own) * jnp.minimum(jnp.where(others, 1 - fitted, 1) / jnp.where(others, 1 - mean, 1), 1)
     through = jnp.where(fitted <= mean, darker, brighter)
     through = through * jnp.exp(-(air.depth - air.uniform)[:, rows])[None, :, :, None]
     through = through.reshape(*through.shape[:2], -1)

@@ -50,10 +50,11 @@ class PathToSpace(AbstractAtmosphere):
             ValueError: a bin outside 800-10000 cm-1 (1-12.5 um), where bins are known.
         """
         require(self.node_checks(nodes))
-        sight = to_sky(self.profile, self.altitude, self.elevation)
-        air = air_along(self.profile, self.altitude, sight)
+        hidden = to_sky(self.profile, self.altitude, self.elevation).ground
+        clear = jnp.where(hidden, 90.0, self.elevation)  # through the earth air would be denser than numbers hold
+        air = air_along(self.profile, self.altitude, to_sky(self.profile, self.altitude, clear))
         passed, emitted = path_transmittance(air, nodes), path_emission(air, nodes)
-        return AirPath(jnp.where(sight.ground, 0, passed), jnp.where(sight.ground, 0, emitted))
+        return AirPath(jnp.where(hidden, 0, passed), jnp.where(hidden, 0, emitted))
 
     @property
     def has_spectrum(self) -> bool:
