@@ -14,15 +14,16 @@ from jaxir._arrays import require
 from jaxir.geometry import AbstractSampler, Sobol
 from jaxir.imaging._adaptive import Look, looked, looks
 from jaxir.imaging._chunks import Pass, scattered_for
-from jaxir.imaging._left_out import enough_bounces, lights_its_skin
+from jaxir.imaging._left_out import enough_bounces, lights_its_skin, shining_share
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
 from jaxir.imaging._tolerance import Goal
-from jaxir.scene import Scene
+from jaxir.scene import Lit, Scene
 from jaxir.transport import (
     ClosedForm,
     DirectSampling,
     DiscreteOrdinates,
     Method,
+    SkinLight,
     faces_in_sight,
     patch_that_shines,
     unaimed,
@@ -39,6 +40,7 @@ SAMPLED = 4  # orders of scattering in which what a lattice errs is sampled
 EVEN = 4  # times the rays of a pilot that all pixels take, beyond which it is looked where they are needed
 LITTLE = 2**22  # work of an image that is done before it is known where its rays are needed
 MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
+SMALL = 1e-3  # of the skin's area that emits most of its light, below which it is looked for
 LEFT = 0.5  # of the tolerance that bounces beyond the last may add
 
 
@@ -97,6 +99,20 @@ def few_rays(wanted: float, most: int) -> int:
     return next((count for count in well_shaped(most) if count >= max(wanted, FEW)), well_shaped(most)[-1])
 
 
+def with_skin_light(lit: Lit, method: Method) -> Method:
+    """A method that looks for the light of the skin where next to none of its area sends it to other skin or particles.
+
+    Paths that go on by chance would meet it in few of an image's pixels, or in none.
+    """
+    scene = lit.scene
+    if scene.skin is None or method.skin_light is not None or not (lights_its_skin(scene) or scene.scatters):
+        return method
+    if float(np.min(shining_share(lit))) >= SMALL:
+        return method
+    direct = method.direct if isinstance(method.direct, DirectSampling) else DirectSampling()
+    return dataclasses.replace(method, direct=direct, skin_light=SkinLight())
+
+
 def by_few_orders(method: Method) -> Method:
     """A method by which bounces are looked for."""
     return dataclasses.replace(method, orders=min(FEW_ORDERS, method.orders))
@@ -108,6 +124,7 @@ def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, Float[np.ndarray, " ban
     Of the intensity that a pilot of the pass finds, with what more bounces would add to it.
     """
     lit = first.lit
+    first = first._replace(method=with_skin_light(lit, first.method))
     if not lights_its_skin(lit.scene):
         return first, np.zeros(lit.nodes.response.shape[0])
     few = by_few_orders(first.method)
@@ -226,7 +243,8 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
     """Ways to find direct light; where one without variance applies, it and the cheapest draw."""
     if scene.skin is None or not scene.area_sources:  # nothing to choose
         return [given]
-    if given.bounces:  # each way takes long to compile, many samples are lost on what is reflected, no form is closed
+    # each way takes long to compile, many samples are lost on what is reflected, no form is closed
+    if given.bounces or given.skin_light is not None:
         return [given]
 
     def by(direct: DirectSampling | ClosedForm, sampler: AbstractSampler | None = None) -> Method:

@@ -22,7 +22,7 @@ from jaxir.imaging._devices import stacked
 from jaxir.imaging._quadrature import beams_in_cells, quadrature_error, refined
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene, nodes_error, on_nodes
-from jaxir.transport import Method, beyond_frame, bounced, trace
+from jaxir.transport import Method, beyond_frame, bounced, emitted, trace
 
 PATHS = 2048  # of a view
 FURTHER = 4  # bounces beyond the last
@@ -103,6 +103,22 @@ def lights_its_skin(scene: Scene) -> bool:
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     sides = (faces,) if mesh.closed else (faces, faces[:, ::-1])  # the backs of open skin are seen, too
     return not all(is_convex(vertices, side) for side in sides)
+
+
+@program
+def shining_share(lit: Lit) -> Float[Array, " band"]:
+    """Share of the skin's area that emits most of its light [band]: (sum A L)^2 / sum A L^2 over its faces, by sum A.
+
+    Or by a tenth of the square of the scene's diagonal, if that is more: about what paths meet of it by chance.
+    """
+    assert lit.scene.skin is not None
+    mesh = lit.scene.skin.mesh
+    area = safe_sqrt(jnp.sum(mesh.area_vectors() ** 2, axis=1))[:, None]
+    glow = lit.nodes.in_band(emitted(lit, jnp.arange(mesh.count, dtype=jnp.int32), jnp.ones_like(area[:, 0])))
+    glow = glow / jnp.where(glow.max(axis=0) > 0, glow.max(axis=0), 1)[None]
+    low, high = lit.scene.extent().min(axis=0), lit.scene.extent().max(axis=0)
+    most = jnp.maximum(jnp.sum(area), jnp.sum((high - low) ** 2) / 10) * jnp.sum(area * glow**2, axis=0)
+    return jnp.where(most > 0, jnp.sum(area * glow, axis=0) ** 2 / jnp.where(most > 0, most, 1), 1)
 
 
 def _alone(camera: Camera) -> Camera:

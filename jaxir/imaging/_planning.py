@@ -26,6 +26,7 @@ from jaxir.imaging._choices import (
     rays_to_see,
     suffices,
     with_bounces,
+    with_skin_light,
 )
 from jaxir.imaging._chunks import Pass, as_number, division, first_pass, parts_for
 from jaxir.imaging._left_out import further, left_out, lights_its_skin
@@ -104,7 +105,8 @@ def plan(
     (`ErrorLaw`), and time, as it grows with them, decide. So for light that particles scatter, sampled up to few or
     more orders or solved on a coarse or finer lattice: among those that leave out, and err in sunlit cells, less than
     the error asked for, if there are any. Where skin may meet the light of skin or plumes, few paths are followed
-    further first, and bounces are the fewest beyond which they bring at most half of what is asked. Where the rays or
+    further first, and bounces are the fewest beyond which they bring at most half of what is asked. Where less than a
+    thousandth of the skin sends most of its light, skin and particles look for it (`SkinLight`). Where the rays or
     seconds allowed suffice by no way it is that of least error.
 
     Args:
@@ -196,22 +198,23 @@ def way_for_views(
     """
     scene, bounces, left = lit.scene, 0, np.zeros(lit.nodes.response.shape[0])
     several, lit_by_skin = bool(scene.area_sources) or scene.scatters, lights_its_skin(scene)
+    method = with_skin_light(lit, Method().resolved(scene))
     if not (several or lit_by_skin):
-        return Method(), left
+        return method, left
     chosen: Choice | None = None
     count = cameras.frame.shape[0]
     looked_at = np.linspace(0, count - 1, VIEWED).round().astype(np.int32)
     if lit_by_skin and count > VIEWED:
-        brought = np.asarray(left_out(lit, cameras, further(by_few_orders(Method().resolved(scene)))))[:, 0]
+        brought = np.asarray(left_out(lit, cameras, further(by_few_orders(method))))[:, 0]
         looked_at = np.concatenate([looked_at, np.argmax(brought, axis=0).astype(np.int32)])
     for view in np.unique(looked_at):
         camera = jax.tree.map(lambda leaf, view=view: placed(np.asarray(leaf)[view]), cameras)
-        first = Pass(lit, camera, key, as_number(0), division(FEW, True), Method().resolved(scene), parts_for())
+        first = Pass(lit, camera, key, as_number(0), division(FEW, True), method, parts_for())
         first, own = with_bounces(first, goal)
         bounces, left = max(bounces, first.method.bounces), np.maximum(left, own)
         if several and (chosen is None or (scene.scatters and not suffices(chosen, first, goal))):
             chosen = best_way(first, goal, False, count)[1]
-    method = Method() if chosen is None else chosen.trial.method
+    method = method if chosen is None else chosen.trial.method
     return dataclasses.replace(method, bounces=bounces), left
 
 

@@ -12,6 +12,7 @@ from jaxir.transport._estimators import CombinedIntegration as CombinedIntegrati
 from jaxir.transport._estimators import LineIntegration as LineIntegration
 from jaxir.transport._estimators import PointIntegration as PointIntegration
 from jaxir.transport._estimators import estimate as estimate
+from jaxir.transport._lights import emitted as emitted
 from jaxir.transport._method import ClosedForm as ClosedForm
 from jaxir.transport._method import DirectSampling as DirectSampling
 from jaxir.transport._method import DiscreteOrdinates as DiscreteOrdinates

@@ -136,6 +136,32 @@ def test_what_is_seen_by_bounces_alone_is_found():
     assert abs(float(image.radiant_intensity()[0]) - true) < 3.5 * float(image.intensity_error()[0]) < 0.08 * true
 
 
+def _beside_a_spot():
+    """A plate of 10 x 10 m in the plane x = 0, and a hot square that faces it, edge-on for an eye at azimuth 45."""
+    along, up = np.array([0.5**0.5, 0.5**0.5, 0.0]), np.array([0.0, 0.0, 1.0])
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    spot = np.array([7.2, -7.2, 0.0]) + 0.03 * square @ np.stack([along, up])
+    plate = 5.0 * np.stack([0 * square[:, 0], *square.T], axis=1)
+    faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
+    brdf = jaxir.Lambert(np.repeat([0.5, 1.0], 2))
+    return jaxir.Skin(jaxir.Mesh(np.concatenate([plate, spot]), faces), np.repeat([300.0, 2500.0], 2), brdf)
+
+
+def test_a_spot_that_outshines_the_skin_is_looked_for():
+    """By a sum over points of the plate; of the paths that go on from it 3 in 100,000 meet the spot."""
+    scene = jaxir.Scene(_beside_a_spot())
+    camera = jaxir.orthographic_camera(45.0, 0.0, 1.5, (8, 8))
+    image = jaxir.render(scene, camera, jaxir.SWIR, rtol=0.02)
+    place = (np.arange(400) + 0.5) / 40 - 5
+    apart = np.stack(np.broadcast_arrays(-7.2, place[:, None] + 7.2, place[None]), axis=-1)
+    square = np.sum(apart**2, axis=-1)
+    cosines = (apart @ [-(0.5**0.5), 0.5**0.5, 0.0]) * 7.2 / square
+    black = float(jaxir.band_radiance(2500.0, jaxir.SWIR)[0])
+    true = 0.5 / np.pi * black * 0.06**2 * np.mean(cosines / square) * 100 * 0.5**0.5
+    assert isinstance(image.asked.method.skin_light, jaxir.SkinLight)
+    assert abs(float(image.radiant_intensity()[0]) - true) < 0.06 * true
+
+
 def test_a_view_into_a_cavity_is_looked_at_among_many():
     """A box open to the nose, of whose outside bounces bring nothing; five views spread evenly miss its inside."""
     mesh = trimesh.creation.box((4.0, 1.0, 1.0))
