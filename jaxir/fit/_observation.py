@@ -20,7 +20,7 @@ from jaxir._programs import program
 from jaxir.fit._drift import density_ratio, effective_share
 from jaxir.fit._measurement import Measurement
 from jaxir.geometry import Camera, Crossings, Rays, hilbert_index, pixel_samples, tile_rays
-from jaxir.geometry.search import closest_hit
+from jaxir.geometry.search import MARGIN, closest_hit
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene
 from jaxir.transport import Paths, evaluate, store_route, trace
@@ -117,7 +117,7 @@ def _held(observation: Observation, scene: Scene) -> Bool[Array, ""]:
     cameras = _widened(observation.measurement, scene)
     same = (cameras.pixel <= observation.measurement.cameras.pixel).all()
     reach = [jax.vmap(s.radius)(cameras.target) for s in (scene, observation.scene)]
-    return same & (reach[0] <= reach[1]).all()
+    return same & (reach[0] <= MARGIN * reach[1]).all()  # rays start so far outside
 
 
 def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving: bool) -> Observation:

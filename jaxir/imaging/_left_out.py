@@ -107,17 +107,17 @@ def lights_its_skin(scene: Scene) -> bool:
 
 @program
 def shining_share(lit: Lit) -> Float[Array, " band"]:
-    """Share of the skin's area that emits most of its light [band]: (sum A L)^2 / sum A L^2 over its faces, by sum A.
+    """Share of the skin that emits most of its light [band]: (sum A L)^2 / sum A L^2 over its faces, of sum A.
 
-    Or by a tenth of the square of the scene's diagonal, if that is more: about what paths meet of it by chance.
+    Or of a tenth of the square of the scene's diagonal, if that is more: about what paths meet of it by chance.
     """
     assert lit.scene.skin is not None
     mesh = lit.scene.skin.mesh
     area = safe_sqrt(jnp.sum(mesh.area_vectors() ** 2, axis=1))[:, None]
     glow = lit.nodes.in_band(emitted(lit, jnp.arange(mesh.count, dtype=jnp.int32), jnp.ones_like(area[:, 0])))
     glow = glow / jnp.where(glow.max(axis=0) > 0, glow.max(axis=0), 1)[None]
-    low, high = lit.scene.extent().min(axis=0), lit.scene.extent().max(axis=0)
-    most = jnp.maximum(jnp.sum(area), jnp.sum((high - low) ** 2) / 10) * jnp.sum(area * glow**2, axis=0)
+    diagonal = jnp.ptp(lit.scene.extent(), axis=0)
+    most = jnp.maximum(jnp.sum(area), jnp.sum(diagonal**2) / 10) * jnp.sum(area * glow**2, axis=0)
     return jnp.where(most > 0, jnp.sum(area * glow, axis=0) ** 2 / jnp.where(most > 0, most, 1), 1)
 
 

@@ -11,7 +11,7 @@ import jaxir
 from jaxir import LWIR, MWIR
 from jaxir.imaging import _left_out as left_out
 from jaxir.io.result import sweep
-from jaxir.io.result._way import read_way
+from jaxir.io.result._way import read_way, write_way
 from jaxir.scene import scene_nodes
 from tests.scenes import warm_corner
 
@@ -172,6 +172,13 @@ def test_a_view_into_a_cavity_is_looked_at_among_many():
     black = float(jaxir.band_radiance(900.0, LWIR)[0])
     assert table.asked.method.bounces > 2
     assert 0.75 * black < float(table.intensity[1, 0]) < black  # of an area of 1 m2
+
+
+def test_a_way_with_the_skin_as_a_light_is_kept(tmp_path):
+    chosen = jaxir.Method(skin_light=jaxir.SkinLight(), bounces=2)
+    write_way(tmp_path, chosen)
+    kept = read_way(tmp_path)
+    assert jax.tree.structure(kept) == jax.tree.structure(chosen) and float(kept.skin_light.exponent) == 4.0
 
 
 def test_a_sweep_keeps_the_way_that_was_chosen(tmp_path):

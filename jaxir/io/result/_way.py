@@ -14,16 +14,16 @@ from jaxir.geometry import Independent, Lattice, Sobol, Stratified
 from jaxir.io._array_files import load_arrays
 from jaxir.io._files import read_json, written_whole
 from jaxir.optics.spectrum import Nodes
-from jaxir.transport import ClosedForm, DirectSampling, DiscreteOrdinates, Method
+from jaxir.transport import ClosedForm, DirectSampling, DiscreteOrdinates, Method, SkinLight
 
 WAY = "method.json"
 NODES = "nodes.npz"
-_KINDS = (Method, DirectSampling, ClosedForm, DiscreteOrdinates, Independent, Lattice, Sobol, Stratified)
+_KINDS = (Method, DirectSampling, ClosedForm, DiscreteOrdinates, SkinLight, Independent, Lattice, Sobol, Stratified)
 _BY_NAME: dict[str, Any] = {kind.__name__: kind for kind in _KINDS}
 
 
 def write_way(folder: Path, method: Method) -> None:
-    """Keep a method of `jaxir.plan` in a folder: one without arrays."""
+    """Keep a method of `jaxir.plan` in a folder: one of whole numbers, and of single ones."""
     with written_whole(folder / WAY) as part:
         part.write_text(json.dumps(_table(method), indent=1))
 
@@ -79,7 +79,7 @@ def read_nodes(folder: Path) -> Nodes | None:
 
 def _table(part: Any) -> Any:
     if not dataclasses.is_dataclass(part):
-        return part
+        return part if part is None or isinstance(part, int) else float(part)
     own = {field.name: _table(getattr(part, field.name)) for field in dataclasses.fields(part)}
     return {"type": type(part).__name__, **own}
 
