@@ -16,6 +16,7 @@ from jaxir.imaging._adaptive import Look, looked, looks
 from jaxir.imaging._chunks import Pass, scattered_for
 from jaxir.imaging._left_out import enough_bounces, lights_its_skin, shining_share
 from jaxir.imaging._pilot import ErrorLaw, Pilot, error_law, pilot, well_shaped
+from jaxir.imaging._quadrature import cells_error
 from jaxir.imaging._tolerance import Goal
 from jaxir.scene import Lit, Scene
 from jaxir.transport import (
@@ -49,7 +50,7 @@ class Trial(NamedTuple):
 
     Attributes:
         first: a pass of few rays per pixel, see `few_rays`.
-        pilot: of it.
+        pilot: of it; what sunlit cells err, see `cells_error`, is in its truncation.
         left_out: of what particles scatter, over the error asked for, of the worst band.
         solving: seconds until the light in the plumes was solved for, which later images of the scene do not spend.
     """
@@ -100,12 +101,11 @@ def few_rays(wanted: float, most: int) -> int:
 
 
 def with_skin_light(lit: Lit, method: Method) -> Method:
-    """A method that looks for the light of the skin where next to none of its area sends it to other skin or particles.
+    """A method that looks for the light of the skin on other skin or particles where next to none of its area sends it.
 
     Paths that go on by chance would meet it in few of an image's pixels, or in none.
     """
-    scene = lit.scene
-    if scene.skin is None or method.skin_light is not None or not (lights_its_skin(scene) or scene.scatters):
+    if lit.scene.skin is None or method.skin_light is not None:
         return method
     if float(np.min(shining_share(lit))) >= SMALL:
         return method
@@ -123,9 +123,10 @@ def with_bounces(first: Pass, goal: Goal) -> tuple[Pass, Float[np.ndarray, " ban
 
     Of the intensity that a pilot of the pass finds, with what more bounces would add to it.
     """
-    lit = first.lit
-    first = first._replace(method=with_skin_light(lit, first.method))
-    if not lights_its_skin(lit.scene):
+    lit, lit_by_skin = first.lit, lights_its_skin(first.lit.scene)
+    if lit_by_skin or lit.scene.scatters:
+        first = first._replace(method=with_skin_light(lit, first.method))
+    if not lit_by_skin:
         return first, np.zeros(lit.nodes.response.shape[0])
     few = by_few_orders(first.method)
 
@@ -180,6 +181,9 @@ def suffices(chosen: Choice, first: Pass, goal: Goal) -> bool:
 
 def _trial(first: Pass, goal: Goal, solving: float = 0.0) -> Trial:
     found = pilot(first)
+    cells, size = cells_error(first.lit, first.camera, first.method), np.abs(found.intensity)
+    lacks = found.truncation + np.divide(cells, size, out=np.zeros_like(size), where=size > 0)
+    found = found._replace(truncation=lacks)
     return Trial(first, found, float(goal.tolerance.beyond(np.abs(found.intensity), found.truncation)), solving)
 
 

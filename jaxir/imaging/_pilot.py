@@ -17,7 +17,6 @@ from jaxir._programs import of_items
 from jaxir.imaging._chunks import Pass, as_number, estimate_chunk
 from jaxir.imaging._estimate import Estimate, by_strata
 from jaxir.imaging._image import share_left_out
-from jaxir.imaging._quadrature import cells_error
 
 CHUNKS = 8  # of a pilot; all of a small image
 SECONDS = 2.0  # after which a pilot takes no more chunks
@@ -33,8 +32,7 @@ class Pilot(NamedTuple):
         variance: of it [band].
         seconds: without compiling.
         compile_seconds: until the first chunk was there.
-        truncation: share of the intensity that is left out of what particles scatter, see `Image.truncation`, or wrong
-            as sunlit cells are lit as their centres, see `cells_error` [band].
+        truncation: share of the intensity that is left out of what particles scatter [band], see `Image.truncation`.
     """
 
     intensity: np.ndarray
@@ -65,8 +63,6 @@ def pilot(taken: Pass) -> Pilot:
     variance = (1 - share) * variance + share * within
     sampled = taken.method.samples_particles(taken.lit.scene)
     left = np.asarray(share_left_out(as_float(orders) if sampled else None, taken.lacking, as_float(intensity)))
-    cells, size = cells_error(taken.lit, taken.camera, taken.method), np.abs(intensity)
-    left = left + np.divide(cells, size, out=np.zeros_like(size), where=size > 0)
     return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled, left)
 
 

@@ -198,13 +198,14 @@ def way_for_views(
     """
     scene, bounces, left = lit.scene, 0, np.zeros(lit.nodes.response.shape[0])
     several, lit_by_skin = bool(scene.area_sources) or scene.scatters, lights_its_skin(scene)
-    method = with_skin_light(lit, Method().resolved(scene))
     if not (several or lit_by_skin):
-        return method, left
+        return Method(), left
+    method = Method().resolved(scene)
     chosen: Choice | None = None
     count = cameras.frame.shape[0]
     looked_at = np.linspace(0, count - 1, VIEWED).round().astype(np.int32)
     if lit_by_skin and count > VIEWED:
+        method = with_skin_light(lit, method)
         brought = np.asarray(left_out(lit, cameras, further(by_few_orders(method))))[:, 0]
         looked_at = np.concatenate([looked_at, np.argmax(brought, axis=0).astype(np.int32)])
     for view in np.unique(looked_at):
@@ -214,7 +215,7 @@ def way_for_views(
         bounces, left = max(bounces, first.method.bounces), np.maximum(left, own)
         if several and (chosen is None or (scene.scatters and not suffices(chosen, first, goal))):
             chosen = best_way(first, goal, False, count)[1]
-    method = method if chosen is None else chosen.trial.method
+    method = first.method if chosen is None else chosen.trial.method
     return dataclasses.replace(method, bounces=bounces), left
 
 
