@@ -22,6 +22,7 @@ from jaxir.optics import phi1
 from jaxir.optics.particle import AbstractPhase
 
 BLOCKS = 24  # most capsules along each axis
+OFF = 2  # points more than asked for along an axis at most
 BESIDE = 1e-3  # cells by which a scattered point may lie beside the grid by rounding
 
 
@@ -111,9 +112,9 @@ class CellMedium(AbstractScatterer):
         return False
 
     def lattice(self, along: int, across: int) -> tuple[int, int, int]:
-        """See `AbstractScatterer.lattice`: by the numbers of cells."""
+        """See `AbstractScatterer.lattice`: by the numbers of cells, of which up to `OFF` more leave fewest on sides."""
         most = max(self.grid.shape)
-        first, second, third = (max(across, -(-along * cells // most)) for cells in self.grid.shape)
+        first, second, third = (_off_sides(max(across, -(-along * cells // most)), cells) for cells in self.grid.shape)
         return first, second, third
 
     def cuts(self, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Array, "ray cut"]:
@@ -206,3 +207,12 @@ def cell_cuts(grid: Grid, rays: Rays, t_max: Float[Array, " ray"]) -> Float[Arra
     length = crossings(grid, rays, t_max).length
     begin = jax.vmap(grid.entry)(rays.origin, rays.direction)[:, None]
     return jnp.concatenate([begin, begin + jnp.cumsum(length, axis=1)], axis=1)
+
+
+def _off_sides(points: int, cells: int) -> int:
+    """So many points along an edge of a lattice, or up to `OFF` more, of which fewest lie between two cells.
+
+    Light bends from cell to cell. Points at every bend see the ends of cells alone, and what is read between them lies
+    on the same side of the truth in each.
+    """
+    return min(range(points, points + OFF + 1), key=lambda count: math.gcd(count - 1, cells))

@@ -6,9 +6,20 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+import jaxir
 from jaxir.transport.ordinates._collected import collected
 from jaxir.transport.ordinates._krylov import solved
 from jaxir.transport.ordinates._lattice import _cubic
+
+
+@pytest.mark.parametrize(
+    "cells, expected",
+    [((1, 1, 1), (9, 9, 9)), ((4, 4, 4), (10, 10, 10)), ((24, 6, 6), (11, 9, 9)), ((3, 2, 1), (9, 10, 9))],
+)
+def test_few_points_lie_on_sides_of_cells(cells, expected):
+    plume = jaxir.GridPlume(jaxir.Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), cells), 600.0, jaxir.GrayGas(1.0))
+    medium = jaxir.Scene(None, plume).on(jaxir.gray_nodes((jaxir.MWIR,))).medium
+    assert medium.lattice(9, 9) == expected
 
 
 def _reading(seed=0):
