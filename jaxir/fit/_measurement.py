@@ -51,10 +51,7 @@ class Measurement(eqx.Module):
 
     def checks(self) -> list[Check]:
         """Values are finite, standard deviations positive."""
-        return [
-            Check("measurement.value", self.value, jnp.isfinite(self.value), "finite values"),
-            positive("measurement.standard_deviation", self.standard_deviation),
-        ]
+        return _checks(self.value, self.standard_deviation)
 
 
 def measured_intensity(
@@ -147,7 +144,14 @@ def _measurement(
         raise ValueError(
             f"measurement.standard_deviation: got shape {spread.shape}, expected one value, {shape[-1:]} or {shape}"
         )
+    numbers, spread = enforce((numbers, spread), _checks(numbers, spread))  # named as they were given
     rows = (math.prod(shape[:-1]), shape[-1])
     given, deviations = (reshaped(array, rows) for array in (numbers, broadcast(spread, shape)))
-    made = Measurement(given, deviations, cameras, nodes, Method() if method is None else method, samples, per_pixel)
-    return enforce(made, made.checks())
+    return Measurement(given, deviations, cameras, nodes, Method() if method is None else method, samples, per_pixel)
+
+
+def _checks(value: Float[Array, "*row band"], deviation: Float[Array, "..."]) -> list[Check]:
+    return [
+        Check("measurement.value", value, jnp.isfinite(value), "finite values"),
+        positive("measurement.standard_deviation", deviation),
+    ]

@@ -48,9 +48,10 @@ def prepare(
     coordinates = Coordinates(parameters, scene)
     names = [p.name for p in coordinates.parameters]
     given = priors or {}
-    for name in given:
+    for name, prior in given.items():
         if name not in names:
             raise ValueError(f"priors: got {name!r}, expected names among {names}")
+        require_part(f"priors[{name!r}]", prior, AbstractPrior, "a prior, e.g. jaxir.fit.NormalPrior({}, 1)")
     known = tuple(given.get(name) for name in names)
     base = key_or_default(key)
     observed, surrogate = _observed(scene, coordinates, measurements, base)

@@ -50,10 +50,10 @@ def _refitted(problem: Problem, point: np.ndarray, held: np.ndarray, enough: flo
     across = np.eye(len(point)) - np.outer(held, held)
     for _ in range(_ROUNDS):
         seen, jacobian = linearised(problem, as_float(point))
-        residual = np.asarray(seen.residual, np.float64)
-        if not np.isfinite(residual).all() or residual @ residual < enough - RISE / 2:
+        residual, slope = np.asarray(seen.residual, np.float64), np.asarray(jacobian, np.float64) @ across
+        known = np.isfinite(residual).all() and np.isfinite(slope).all()
+        if not known or residual @ residual < enough - RISE / 2:
             break
-        slope = np.asarray(jacobian, np.float64) @ across
         move = -across @ (np.linalg.pinv(slope, rcond=1e-6) @ residual)
         point = point + move / max(1.0, np.abs(move).max() / _LONGEST)
         if np.abs(move).max() < 1e-4:

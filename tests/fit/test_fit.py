@@ -207,7 +207,10 @@ ONE_NUMBER = measured_image(PIXEL, jaxir.MWIR, np.ones((1, 1, 1)), 0.1)
         ),
         (lambda m: measured_image(PIXEL, BANDS, np.ones((1, 1, 3)), 1.0), r"measurement.value: got shape \(1, 1, 3\)"),
         (lambda m: measured_image(PIXEL, BANDS, np.ones((1, 1, 2)), 0.0), "standard_deviation: got 0.0"),
-        (lambda m: measured_image(PIXEL, BANDS, np.full((1, 1, 2), np.nan), 1.0), "measurement.value: got nan"),
+        (
+            lambda m: measured_image(PIXEL, BANDS, [[[1.0, np.nan]]], 1.0),
+            r"measurement.value: got nan at index \[0, 0, 1\]",
+        ),
         (lambda m: measured_intensity(slab(900, 1), [(0, 0)], BANDS, [[1.0]], 1.0), "measurement.value: got shape"),
         (lambda m: Bounds(1.0, 0.0), "Bounds: got 1.0, 0.0"),
         (lambda m: Bounds(upper=1.0), "got an upper bound 1.0 without a lower"),

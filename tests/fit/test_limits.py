@@ -14,6 +14,7 @@ from jaxir.fit import (
     Leaf,
     NormalPrior,
     SmoothPrior,
+    _observation,
     at_values,
     expected_uncertainty,
     fit,
@@ -22,6 +23,7 @@ from jaxir.fit import (
     measured_image,
     measured_intensity,
     part_emissivity,
+    particle_loading,
     prepare,
     sensitivity,
     solve,
@@ -30,6 +32,7 @@ from jaxir.fit import (
 from jaxir.fit._drift import density_ratio, effective_share
 from jaxir.fit._surrogate import applies, predicted_by
 from jaxir.transport import trace
+from jaxir.transport.evaluation import _scattered
 from tests.fit.lamps import plate_intensity
 from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, looked_at, slab
 from tests.scenes import plate
@@ -156,6 +159,25 @@ def test_a_jet_that_outgrows_its_images_is_traced_again():
     # rays of their own made the measured values, so what rays put in comes twice
     assert float(often.chi_squared) < often.degrees_of_freedom + 3 * often.sampling_chi_squared
     assert float(often.chi_squared) < float(once.chi_squared)
+
+
+def test_a_lattice_is_solved_once_for_all_rays_of_a_measurement(monkeypatch):
+    """And not for what it errs, which fits do not ask."""
+    particles = jaxir.GrayParticles(0.5, 0.8, jaxir.Isotropic())
+    cube = jaxir.Grid((-1.0, -1.0, -1.0), (2.0, 2.0, 2.0), (1, 1, 1))
+    scene = jaxir.Scene(None, jaxir.GridPlume(cube, 700.0, jaxir.GrayGas(0.2), particles))
+    method = jaxir.Method(scattering=jaxir.DiscreteOrdinates(4, 4, 1))
+    views, value = [(0.0, 0.0), (90.0, 30.0)], np.full((2, 1), 100.0)
+    measured = measured_intensity(scene, views, jaxir.MWIR, value, 1.0, shape=(24, 24), method=method)
+    problem = prepare(scene, [particle_loading()], [measured])
+    asked, ready = [], []
+    solution, evaluate = _scattered.solution, _observation.evaluate
+    monkeypatch.setattr(_scattered, "solution", lambda *given: asked.append(given[-1]) or solution(*given))
+    monkeypatch.setattr(
+        _observation, "evaluate", lambda lit, paths: ready.append(not lit.medium.scatters) or evaluate(lit, paths)
+    )
+    jax.make_jaxpr(lambda z: problem.residual(z))(problem.coordinates.origin())
+    assert asked == [False] and ready and all(ready)
 
 
 def test_fewer_rays_stand_for_all_that_meet_a_jet():

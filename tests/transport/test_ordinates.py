@@ -203,7 +203,7 @@ def test_a_deep_jet_is_lit_by_the_sun_on_its_side():
 
 
 def ball_in_the_sun(extinction, albedo):
-    """A ball of cells: the lattice's points lie on sides of cells, across which the way to the sun jumps."""
+    """A ball of cells: points of the lattice lie near sides of cells, across which the way to the sun jumps."""
     side = (np.arange(16) + 0.5) / 8 - 1
     inside = np.sum(np.stack(np.meshgrid(side, side, side)) ** 2, axis=0)[..., None] < 1
     grid = jaxir.Grid((-1.0, -1.0, -1.0), (1 / 8,) * 3, (16,) * 3)
@@ -428,7 +428,7 @@ def test_derivatives_are_those_of_the_solution(x64, plume_of, about):
 def test_a_solution_serves_other_cameras_and_air_and_no_other_scene(monkeypatch):
     """Of known values: what is differentiated is solved for anew, else derivatives would end at what was kept."""
     solved = []
-    monkeypatch.setattr(_scattered, "_solved", lambda lit, _: solved.append(lit) or lit.medium)
+    monkeypatch.setattr(_scattered, "_solved", lambda lit, *_: solved.append(lit) or lit.medium)
     monkeypatch.setattr(_scattered, "_held", {})
     nodes, plume = gray_nodes((jaxir.MWIR,)), box(1.0, 0.9, jaxir.Isotropic())
     clear = with_scattered(jaxir.Scene(None, plume).on(nodes), COARSE)
@@ -497,7 +497,7 @@ def test_light_of_a_narrow_plume_comes_along_it_too():
     """In a transparent one emission times the mean distance to its sides; 64 directions alone meet 6 % too little."""
     size, gas = np.array([4.0, 0.2, 0.2]), jaxir.GrayGas(1e-4)
     particles = jaxir.GrayParticles(1e-6, 0.9, jaxir.Isotropic())
-    plume = jaxir.GridPlume(jaxir.Grid((0.0, 0.0, 0.0), size / 4, (4, 4, 4)), 600.0, gas, particles)
+    plume = jaxir.GridPlume(jaxir.Grid((0.0, 0.0, 0.0), size, (1, 1, 1)), 600.0, gas, particles)
     points, mean = arriving(jaxir.Scene(None, plume))
     points, mean = (np.asarray(x).reshape(9, 9, 9, -1)[::2, ::2, ::2].reshape(125, -1) for x in (points, mean))
     toward = np.random.default_rng(0).normal(size=(20000, 3))
@@ -663,7 +663,7 @@ def seen_of_slab(depth, albedo, asymmetry, along=17, half=20.0, temperature=600.
     cosines = np.concatenate([[1.0, 0.5], cosine + 0.5])
     down = np.stack([np.sqrt(1 - cosines**2), 0 * cosines, -cosines], axis=1)
     rays = jaxir.Rays(jnp.asarray(np.array([[0.0, 0.0, 0.5]]) - 2 * down / cosines[:, None]), jnp.asarray(down))
-    grid = jaxir.Grid((-half, -half, 0.0), (half, half, 1 / 32), (2, 2, 32))
+    grid = jaxir.Grid((-half, -half, 0.0), (2 * half, 2 * half, 1 / 32), (1, 1, 32))
     around = jaxir.ElevationTable([-90.0, -0.001, 0.001, 90.0], [below, below, above, above])
     particles = jaxir.GrayParticles(depth, albedo, jaxir.HenyeyGreenstein(asymmetry))
     plume = jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.0), particles)
@@ -726,7 +726,7 @@ def test_what_a_slab_reflects_and_transmits_of_the_sun_is_all_of_it(x64, depth):
     cosine = np.concatenate([cosine + 0.5, -cosine - 0.5])
     toward = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], axis=1)
     origin = np.array([[0.0, 0.0, 0.5]]) - 5 * toward / np.abs(cosine)[:, None]
-    grid = jaxir.Grid((-2e3, -2e3, 0.0), (2e3, 2e3, 1 / 32), (2, 2, 32))
+    grid = jaxir.Grid((-2e3, -2e3, 0.0), (4e3, 4e3, 1 / 32), (1, 1, 32))
     particles = jaxir.GrayParticles(depth, 1.0, jaxir.Isotropic())
     plume = jaxir.GridPlume(grid, 50.0, jaxir.GrayGas(0.0), particles)
     scene = jaxir.Scene(None, plume, jaxir.ParallelSource((0.0, 0.0, -1.0), 1.0))

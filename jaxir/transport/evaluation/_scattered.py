@@ -25,11 +25,12 @@ from jaxir.transport.evaluation._segments import behind_plumes
 from jaxir.transport.ordinates import Posed, Scattered, Solution, finished, posed, solution
 
 
-def with_scattered(lit: Lit, method: Method) -> Lit:
+def with_scattered(lit: Lit, method: Method, told: bool = True) -> Lit:
     """The scene with what its particles scatter, where the method finds that on a lattice; else as it is.
 
     Done once, it serves all paths; `evaluate` does it unless it was done. Of known values the last solution is kept:
-    neither cameras and the air before them nor bands ask for another.
+    neither cameras and the air before them nor bands ask for another. Two of three solutions only tell what the lattice
+    errs, where that is not sampled: unless it shall be `told`, they are left out.
     """
     if method.scattering is None or lit.medium is None or not lit.medium.scatters:
         return lit
@@ -37,7 +38,7 @@ def with_scattered(lit: Lit, method: Method) -> Lit:
     ordinates = dataclasses.replace(method.scattering, orders=min(method.scattering.orders, 1))  # however many more
     once = dataclasses.replace(method, bounces=0, scattering=ordinates, skin_light=None, plume_light=None)
     once = once.resolved(bare.scene)
-    return eqx.tree_at(lambda lit: lit.medium, lit, _remembered((bare, once)))
+    return eqx.tree_at(lambda lit: lit.medium, lit, _remembered((bare, once), told and ordinates.orders == 0))
 
 
 def aimed(lit: Lit, camera: Camera) -> Lit:
@@ -55,15 +56,15 @@ def unaimed(lit: Lit) -> Lit:
     return eqx.tree_at(lambda lit: lit.medium, lit, dataclasses.replace(lit.medium, parts=parts))
 
 
-def _remembered(asked: tuple[Lit, Method]) -> AbstractMedium:
+def _remembered(asked: tuple[Lit, Method], told: bool) -> AbstractMedium:
     """The medium with its scattered light, or as it was found for the same values before."""
     if is_traced(asked):
-        return _solved(*asked)
-    key = jax.tree.structure(asked), fingerprint(asked)
+        return _solved(*asked, told)
+    key = jax.tree.structure(asked), fingerprint(asked), told
     with _SOLVING:
         found = _held.get(key)
         if found is None:
-            found = _solved(*asked)
+            found = _solved(*asked, told)
             _held.clear()
             _held[key] = found
     return found
@@ -73,16 +74,16 @@ _held: dict[tuple, AbstractMedium] = {}
 _SOLVING = threading.Lock()  # threads that ask for one solution wait for it
 
 
-def _solved(lit: Lit, method: Method) -> AbstractMedium:
+def _solved(lit: Lit, method: Method, told: bool) -> AbstractMedium:
     """Solve for the light in the plumes; groups of nodes side by side where all is known."""
     ordinates = method.scattering
     assert ordinates is not None
     equations = _posed(lit, method)
     count = equations.groups.unscattered.shape[0]
     if is_traced(equations):
-        solutions = lax.map(lambda group: solution(equations, ordinates, group), jnp.arange(count, dtype=jnp.int32))
+        solutions = lax.map(lambda k: solution(equations, ordinates, k, told), jnp.arange(count, dtype=jnp.int32))
         return _finished(equations, ordinates, solutions)
-    of_group = of_items(_solution, (equations, ordinates))
+    of_group = of_items(_solution, (equations, ordinates, told))
     groups = np.arange(count, dtype=np.int32)
     each = list(each_of(lambda group: jax.block_until_ready(of_group(group)), groups, ready=count > 1))
     return _finished(equations, ordinates, jax.tree.map(lambda *some: jnp.stack(some), *each)).settled()
@@ -102,8 +103,9 @@ def _posed(lit: Lit, method: Method) -> Posed:
 
 
 @program
-def _solution(asked: tuple[Posed, DiscreteOrdinates], group: Int[Array, ""]) -> Solution:
-    return solution(*asked, group)
+def _solution(asked: tuple[Posed, DiscreteOrdinates, bool], group: Int[Array, ""]) -> Solution:
+    equations, ordinates, told = asked
+    return solution(equations, ordinates, group, told)
 
 
 @program

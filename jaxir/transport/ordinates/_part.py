@@ -113,7 +113,7 @@ class Aimed(NamedTuple):
         eye: the eye.
         narrow: whether it and all sources are so far away that neighbours see each in nearly one direction.
         light: the first sum [read, node].
-        rough: that of `Doubt.rough`; None where what the lattice errs is sampled.
+        rough: that of `Doubt.rough`; None where it is not told.
         reading: and of `Doubt.reading`.
         lobes: of every beam where it is seen, with what halos change [read, node].
         halos: what they change.
@@ -153,7 +153,7 @@ class Part(eqx.Module):
         kept: share of its scattering that is in it [node].
         moments: chi_l L_lm [read, harmonic, node] [W m-2 sr-1].
         field: L_lm [read, harmonic, node]; None where what the lattice errs is not sampled.
-        doubt: of the moments; None where what the lattice errs is sampled.
+        doubt: of the moments; None where it is not told.
         glow: emission and scattering in the mean over directions, as shares of the largest of each node [read, 1, 1].
         halo: of what is scattered forward; None without beams.
         beams: of all sources without extent.

@@ -37,15 +37,15 @@ CLOSE_OF_OTHERS = 1e-4  # residual at which those end that show what the lattice
 class Solution(NamedTuple):
     """L_lm [some, point, harmonic, node] as it is, with fewer harmonics, and read as by `Lattice.lines`; what it lacks.
 
-    Where what the lattice errs is sampled, the first alone.
+    Where what the lattice errs is not told, the first alone.
     """
 
     light: Float[Array, "some point harmonic node"]
     residual: Float[Array, " some"]
 
 
-def solution(given: Posed, ordinates: DiscreteOrdinates, group: Int[Array, ""]) -> Solution:
-    """The solution of one of the groups of equations."""
+def solution(given: Posed, ordinates: DiscreteOrdinates, group: Int[Array, ""], told: bool) -> Solution:
+    """The solution of one of the groups of equations, and two more where what the lattice errs shall be `told`."""
     own = given.groups.of(group)
     lattices, (_, lobes, by_direction) = lattices_of(given.medium, ordinates), rule(ordinates.order, given.medium)
 
@@ -73,7 +73,7 @@ def solution(given: Posed, ordinates: DiscreteOrdinates, group: Int[Array, ""]) 
 
     degree = degrees(ordinates.order)
     every, fewer = np.ones_like(degree, dtype=bool), _fewer(ordinates.order)
-    count = 1 if ordinates.orders > 0 else 3  # where what the lattice errs is sampled, it is not told
+    count = 3 if told else 1
     kept, first = as_float(np.stack([every, fewer, every][:count])), as_float(np.array([1, 0, 0][:count]))
     close = as_float(np.array([CLOSE[str(lobes.dtype)], CLOSE_OF_OTHERS, CLOSE_OF_OTHERS][:count]))
     ways = [[as_float(np.stack([c, c, p][:count])) for c, p in zip(x.cubics, x.lines, strict=True)] for x in lattices]
@@ -103,7 +103,8 @@ def finished(given: Posed, ordinates: DiscreteOrdinates, solutions: Solution) ->
     light = light.reshape(*light.shape[:-2], -1)[..., :nodes]
     each, *others = (_split(x * given.scale, lattices) for x in light)  # beams are scattered with the whole lobe
     rough, other = others or (each, each)
-    errs, fewer = ordinates.orders > 0, _fewer(order)  # errors are sampled, in the medium as it is
+    doubtful, fewer = bool(others), _fewer(order)
+    errs = ordinates.orders > 0  # errors are sampled, in the medium as it is
 
     def of_few(own: Moments, table: Array) -> Array:
         return (table * own.rest[None])[:, fewer]
@@ -114,9 +115,9 @@ def finished(given: Posed, ordinates: DiscreteOrdinates, solutions: Solution) ->
             kept=jnp.ones_like(own.forward) if errs else 1 - own.forward,
             moments=refined(lattice, table * (own.all if errs else own.rest)[None]),
             field=refined(lattice, table) if errs else None,
-            doubt=None
-            if errs
-            else lax.stop_gradient(_doubt(part, lattice, *(of_few(own, found) for found in (table, few, lined)))),
+            doubt=lax.stop_gradient(_doubt(part, lattice, *(of_few(own, found) for found in (table, few, lined))))
+            if doubtful
+            else None,
             glow=lax.stop_gradient(_glow(part, lattice, table)),
             halo=_halo(part, shining, own.forward, order),
             beams=shining,
