@@ -1,8 +1,8 @@
 """Roughly what shines where in a scene: where rays are worth most, before any is traced, and what no ray will see.
 
-Skin counts with its own emission and what it would scatter of unhidden lights without extent, a plume with its
-emission, dimmed by itself as a layer as deep as the plume is wide. Nothing hides anything. Estimates may be as rough as
-this where they place rays; what lies beyond a frame tells the order of an error.
+Skin counts with its own emission and what it would reflect of unhidden lights without extent, to all sides alike unless
+it is glossy, a plume with its emission, dimmed by itself as a layer as deep as the plume is wide. Nothing hides
+anything. Estimates may be as rough as this where they place rays; what lies beyond a frame tells the order of an error.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from jaxtyping import Array, Bool, Float
 from jaxir._arrays import as_float, is_traced, placed
 from jaxir._math import dot, einsum, matmul, safe_divide
 from jaxir._programs import program
-from jaxir.geometry import Brightness, Camera, Rays, graded_camera
+from jaxir.geometry import Brightness, Camera, Eye, Rays, camera_around, graded_camera, view_frame
 from jaxir.geometry.search import any_hit, face_normal
+from jaxir.optics.surface import AbstractBrdf
 from jaxir.scene import Lit
 from jaxir.scene.light import AbstractExtendedLight
 
@@ -29,11 +30,41 @@ SKY = 3  # directions squared in which lights with an extent are looked for
 VIEWS = 64  # whose cameras are made by one program, however many of them are wanted
 
 
+class _Gloss(NamedTuple):
+    """Light of sources without extent on skin that reflects more of it to some sides than to others.
+
+    Attributes:
+        brdf: of each face, in its mean over the nodes.
+        normal: of each [face, 3].
+        omega: directions to each source [source, face, 3].
+        irradiance: of each [source, face, band].
+    """
+
+    brdf: AbstractBrdf
+    normal: Float[Array, "face 3"]
+    omega: Float[Array, "source face 3"]
+    irradiance: Float[Array, "source face band"]
+
+    def toward(self, back: Float[Array, "face 3"]) -> Float[Array, "face band"]:
+        """Radiance that each face reflects in a direction."""
+
+        def add(total: Array, own: tuple[Array, Array]) -> tuple[Array, None]:
+            omega, irradiance = own
+            lobe = jax.vmap(lambda brdf, *directions: brdf.eval(*directions))(self.brdf, omega, back, self.normal)
+            return total + lobe * irradiance, None
+
+        return lax.scan(add, jnp.zeros_like(self.irradiance[0]), (self.omega, self.irradiance))[0]
+
+
 class _Shining(NamedTuple):
-    """What shines: faces with their radiance [face, band], capsules with their intensity [capsule, band]."""
+    """What shines: faces with their radiance [face, band], capsules with their intensity [capsule, band].
+
+    Without what `gloss` reflects, which depends on where that is seen from.
+    """
 
     corners: Float[Array, "face 3 3"]
     radiance: Float[Array, "face band"]
+    gloss: _Gloss | None
     ends: Float[Array, "capsule 2 3"]
     radius: Float[Array, " capsule"]
     intensity: Float[Array, "capsule band"]
@@ -45,24 +76,39 @@ def _shining(lit: Lit, behind: Float[Array, " node"] | None = None) -> _Shining:
     dtype, bands = lit.nodes.weight.dtype, lit.nodes.response.shape[0]
     corners, radiance = jnp.zeros((0, 3, 3), dtype), jnp.zeros((0, bands), dtype)
     ends, radius, intensity = jnp.zeros((0, 2, 3), dtype), jnp.zeros(0, dtype), jnp.zeros((0, bands), dtype)
-    if lit.scene.skin is not None:
-        mesh = lit.scene.skin.mesh
-        corners = mesh.vertices[mesh.faces]
-        normal = face_normal(mesh, jnp.arange(mesh.count, dtype=jnp.int32))
-        radiance = lit.nodes.in_band(_of_skin(lit, _irradiance(lit, corners.mean(axis=1), normal), behind))
+    gloss, skin = None, lit.scene.skin
+    if skin is not None:
+        corners, every = skin.mesh.corners(), jnp.arange(skin.mesh.count, dtype=jnp.int32)
+        normal = face_normal(skin.mesh, every)
+        each = _irradiances(lit, corners.mean(axis=1), normal)
+        if each and not skin.brdf.diffuse:
+            omega, irradiance = (jnp.stack(part) for part in zip(*each, strict=True))
+            gloss = _Gloss(skin.brdf.gray().at(every), normal, omega, lit.nodes.in_band(irradiance))
+            each = []
+        total = sum((irradiance for _, irradiance in each), jnp.zeros((len(corners), lit.nodes.count), dtype))
+        radiance = lit.nodes.in_band(_of_skin(lit, total, behind))
     if lit.medium is not None:
         ends, radius, emitted = lit.medium.capsules()
         intensity = lit.nodes.in_band(emitted)
-    return _Shining(corners, radiance, ends, radius, intensity)
+    return _Shining(corners, radiance, gloss, ends, radius, intensity)
 
 
-def brightness(lit: Lit) -> Brightness:
-    """Where a scene is bright, each band's intensity normalised and the bands averaged; without derivatives."""
-    corners, radiance, ends, radius, intensity = _shining(lit)
+def brightness(shining: _Shining, eye: Eye | None) -> Brightness:
+    """Where a scene is bright, each band's intensity normalised and the bands averaged; to an eye if skin is glossy."""
+    corners, radiance, ends, radius, intensity = _seen(shining, eye)
     area = jnp.linalg.norm(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     total = jnp.sum(radiance * area[:, None], axis=0) / 8 + jnp.sum(intensity, axis=0)  # faces are seen by a quarter
     share = 1 / jnp.where(total > 0, total, 1) / radiance.shape[1]
     return Brightness(corners, matmul(radiance, share), ends, radius, matmul(intensity, share))
+
+
+def _seen(shining: _Shining, eye: Eye | None) -> tuple[Array, ...]:
+    """Corners and radiances of faces, ends, radii and intensities of capsules as an eye sees them."""
+    corners, radiance, gloss, *capsules = shining
+    if gloss is not None:
+        assert eye is not None
+        radiance = radiance + gloss.toward(eye.toward(corners.mean(axis=1)))
+    return corners, radiance, *capsules
 
 
 @program
@@ -87,7 +133,7 @@ def beyond_frame(lit: Lit, camera: Camera) -> Float[Array, " band"]:
     shown = (jnp.maximum(facing, 0) if mesh.closed else jnp.abs(facing)) / camera.lessening(centre)
     outwards = face_normal(mesh, jnp.arange(mesh.count, dtype=jnp.int32))
     normal = outwards * jnp.where(facing < 0, -1, 1)[:, None]
-    irradiance = _irradiance(lit, centre, normal) + _from_all_around(lit, centre, normal)
+    irradiance = sum((own for _, own in _irradiances(lit, centre, normal)), _from_all_around(lit, centre, normal))
     contrast = _of_skin(lit, irradiance, None) - lit.background(-camera.frame[2])[None]
     each = jnp.abs(lit.nodes.in_band(lit.dimmed_by_air(contrast)))
     return left_out + matmul(_faces_beyond(corners, camera) * shown, each)
@@ -131,7 +177,7 @@ def patch_that_shines(lit: Lit, camera: Camera, in_sight: Bool[Array, " face"] |
         in_sight: see `faces_in_sight`; None: nothing hides anything.
     """
     behind = lit.background(-camera.frame[2])
-    corners, radiance, ends, radius, intensity = _shining(lit, behind)
+    corners, radiance, ends, radius, intensity = _seen(_shining(lit, behind), camera.eye)
     x, y = jnp.moveaxis(camera.project(corners), -1, 0)
     turn = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
     closed = lit.scene.skin is not None and lit.scene.skin.mesh.closed
@@ -172,7 +218,7 @@ class _Outlook(NamedTuple):
     """What cameras are made of, see `graded_camera`."""
 
     extent: Float[Array, "corner 3"]
-    bright: Brightness
+    shining: _Shining
     shape: tuple[int, int]
     distance: Array
 
@@ -186,7 +232,7 @@ def graded_cameras(lit: Lit, aspect: Float[Array, "view 2"], shape: tuple[int, i
         shape: rows and columns.
         distance: from the middle of the scene to the sensor [m]; inf allowed.
     """
-    outlook = _Outlook(lit.scene.extent(), _bright(lit), shape, as_float(distance))
+    outlook = _Outlook(lit.scene.extent(), _shining_of(lit), shape, as_float(distance))
     if is_traced((outlook, aspect)):
         return _cameras(outlook, aspect, None)
     count, given = aspect.shape[0], np.asarray(aspect)
@@ -196,17 +242,21 @@ def graded_cameras(lit: Lit, aspect: Float[Array, "view 2"], shape: tuple[int, i
 
 
 @program
-def _bright(lit: Lit) -> Brightness:
-    return brightness(lit)
+def _shining_of(lit: Lit) -> _Shining:
+    return _shining(lit)
 
 
 @program
 def _cameras(outlook: _Outlook, aspect: Float[Array, "view 2"], wanted: Bool[Array, " view"] | None) -> Camera:
     """A camera for every aspect, zeros for those that are not wanted."""
-    own = outlook.extent, outlook.bright, outlook.shape, outlook.distance
+    extent, shining, shape, distance = outlook
+    alike = brightness(shining, None) if shining.gloss is None else None
 
     def camera(aspect: Array) -> Camera:
-        return graded_camera(aspect[0], aspect[1], *own)
+        bright = alike
+        if bright is None:
+            bright = brightness(shining, camera_around(view_frame(*aspect), extent, shape, distance).eye)
+        return graded_camera(aspect[0], aspect[1], extent, bright, shape, distance)
 
     if wanted is None:
         return lax.map(camera, aspect)
@@ -225,13 +275,12 @@ def _of_skin(lit: Lit, irradiance: Float[Array, "face node"], behind: Array | No
     return emissivity * emitted + (1 - emissivity) * irradiance / np.pi
 
 
-def _irradiance(lit: Lit, point: Float[Array, "face 3"], normal: Float[Array, "face 3"]) -> Float[Array, "face node"]:
-    """Of sources without extent, on surfaces."""
-    total = jnp.zeros((point.shape[0], lit.nodes.count), point.dtype)
-    for source in lit.scene.delta_sources:
-        toward, _ = jax.vmap(source.toward)(point)
-        total = total + jnp.maximum(dot(toward, normal), 0)[:, None] * jax.vmap(source.beam)(point)
-    return total
+def _irradiances(
+    lit: Lit, point: Float[Array, "face 3"], normal: Float[Array, "face 3"]
+) -> list[tuple[Float[Array, "face 3"], Float[Array, "face node"]]]:
+    """Of each source without extent, on surfaces, with directions to it."""
+    each = [(jax.vmap(source.toward)(point)[0], jax.vmap(source.beam)(point)) for source in lit.scene.delta_sources]
+    return [(toward, jnp.maximum(dot(toward, normal), 0)[:, None] * beam) for toward, beam in each]
 
 
 def _from_all_around(

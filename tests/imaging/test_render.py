@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 
 import jaxir
 from jaxir.optics.spectrum import gray_nodes
@@ -264,6 +265,35 @@ def test_signature_agrees_with_the_sum_over_faces():
         exact = jaxir.unoccluded_intensity(scene, azimuth, elevation, BANDS)
         assert (np.abs(got - exact) < 4 * error + 1e-5 * exact).all()
         assert (error < 2e-3 * exact).all()
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.005])
+def test_faces_that_look_away_are_not_asked_what_they_send(roughness):
+    """Of a closed body half do, some straight and some where the loss of a rough conductor has no value."""
+    vertices, faces = np.array(trimesh.creation.icosphere(4).vertices), trimesh.creation.icosphere(4).faces
+    ball = jaxir.Mesh(vertices.astype(np.float32), faces)
+    aspects = [(0.0, 0.0), (90.0, 0.0), (90.0, -25.0), (190.0, -25.0)]
+
+    def total(roughness, azimuth, elevation):
+        skin = jaxir.Skin(ball, 300.0, jaxir.RoughConductor(1.5, 7.0, roughness))
+        return jaxir.unoccluded_intensity(jaxir.Scene(skin), azimuth, elevation, jaxir.LWIR)[0]
+
+    each = np.asarray([jax.value_and_grad(total)(roughness, *aspect) for aspect in aspects])
+    assert np.isfinite(each).all()
+    np.testing.assert_allclose(each[:, 0], each[:, 0].mean(), rtol=3e-4)  # of a ball
+
+
+def test_a_glint_that_a_facet_sends_is_found():
+    """Of a smooth ball of facets in the sun one or two shine, smaller than a pixel at an aspect low above them."""
+    mesh = trimesh.creation.icosphere(4)
+    ball = jaxir.Mesh(np.array(mesh.vertices, np.float32), mesh.faces)
+    skin = jaxir.Skin(ball, 200.0, jaxir.RoughConductor(1.5, 7.0, 0.005))
+    sun = jaxir.ParallelSource((-0.556670, -0.321394, -0.766044), 100.0)
+    scene, views = jaxir.Scene(skin, sources=(sun,)), [(244.5, -50.9), (200.0, -20.0), (205.0, -20.0)]
+    exact = np.stack([jaxir.unoccluded_intensity(scene, *view, jaxir.MWIR) for view in views])
+    table = jaxir.signature(scene, views, jaxir.MWIR)
+    assert (np.abs(table.intensity - exact) < 5 * table.standard_error).all()
+    np.testing.assert_allclose(table.intensity, exact, rtol=0.02)
 
 
 def test_signature_from_a_range_sees_what_an_image_from_there_sees():

@@ -64,6 +64,10 @@ class AbstractBrdf(Physical):
         """The brdf of one face (or of a batch of faces): every leaf [face | 1, ...] loses its face axis."""
         return jax.tree.map(lambda leaf: leaf[face if leaf.shape[0] > 1 else jnp.zeros_like(face)], self)
 
+    def gray(self: B) -> B:
+        """The same with parameters in their mean over the nodes [face | 1, ..., 1]."""
+        return jax.tree.map(lambda leaf: leaf.mean(axis=-1, keepdims=True) if leaf.ndim > 1 else leaf, self)
+
     def shape(self) -> tuple[int, int]:
         """(faces, nodes) that the parameters span; 1 where they are common to all faces or all nodes."""
         spans = [leaf.shape if leaf.ndim > 1 else (leaf.shape[0], 1) for leaf in jax.tree.leaves(self)]

@@ -284,13 +284,14 @@ def _reflectance(lit: Lit, vertex: Vertex) -> Array:
 def unoccluded_radiance(lit: Lit, toward: Float[Array, " 3"]) -> Float[Array, "face node"]:
     """Radiance leaving the front of every face in one direction if no face hides or shades another [face, node].
 
-    With the light of parallel sources and of surroundings, which are uniform, and without that of others.
+    With the light of parallel sources and of surroundings, which are uniform, and without that of others. Of faces that
+    look away it is what leaves along their normals: models of surfaces hold for directions above them.
     """
     assert lit.scene.skin is not None
     mesh = lit.scene.skin.mesh
     face = jnp.arange(mesh.count, dtype=jnp.int32)
     normal = face_normal(mesh, face)
     visible = jnp.ones((len(lit.scene.delta_sources), mesh.count), bool)
-    centre, back = jnp.mean(mesh.corners(), axis=1), jnp.broadcast_to(toward, normal.shape)
-    vertex = Vertex(face, centre, normal, back, visible, None)
+    centre, seen = jnp.mean(mesh.corners(), axis=1), dot(normal, toward[None]) > 0
+    vertex = Vertex(face, centre, normal, jnp.where(seen[:, None], toward[None], normal), visible, None)
     return _outgoing(lit, Method(direct=ClosedForm()), vertex, Through(lit))()
