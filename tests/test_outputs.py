@@ -129,18 +129,21 @@ def test_a_file_that_cannot_be_written_is_said_before_anything_is_computed(
     ("command", "names", "message"),
     [
         ("render", ["-o", "hot.npz"], "^-o hot.npz: got a file that scene.toml is read from, expected another name"),
+        ("render", ["-o", "hotter.npz"], "^-o hotter.npz: got a file that scene.toml is read from"),
         ("signature", ["-q", "source", "-o", "a.csv", "-o", "./a.csv"], "^-o a.csv: got it twice"),
     ],
 )
 def test_nothing_is_written_over_what_a_scene_is_read_from(command, names, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    np.savez("hot.npz", temperature=np.full(2, 310.0))
-    held = Path("hot.npz").read_bytes()
-    write_scene(tmp_path, TEXT.replace("temperature = 300.0", 'temperature = { path = "hot.npz" }', 1))
+    for file in ("hot.npz", "hotter.npz"):
+        np.savez(file, temperature=np.full(2, 310.0))
+    held = Path("hot.npz").read_bytes(), Path("hotter.npz").read_bytes()
+    over = "[over.n]\nvalues = [1, 2]\ntables = { 'skin.temperature.path' = ['hot.npz', 'hotter.npz'] }"
+    write_scene(tmp_path, TEXT.replace("temperature = 300.0", 'temperature = { path = "hot.npz" }', 1) + over)
     assert main([command, "scene.toml", *names]) == 1
     said = capsys.readouterr()
     assert re.search(message, said.err.removeprefix("jaxir: ").strip()) and not said.out
-    assert Path("hot.npz").read_bytes() == held
+    assert (Path("hot.npz").read_bytes(), Path("hotter.npz").read_bytes()) == held
 
 
 def test_a_folder_that_may_not_be_written_is_said_at_once(tmp_path, capsys, monkeypatch):

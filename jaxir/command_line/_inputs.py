@@ -15,11 +15,11 @@ def inputs_of(file: Path) -> dict[str, Path]:
 
 
 def _paths(value: Any) -> Iterator[str]:
-    """Everything under a key `path` or `paths`."""
+    """Everything under a key `path` or `paths`, also where `over` names one with dots."""
     if isinstance(value, dict):
         for key, child in value.items():
             held = child if isinstance(child, list) else [child]
-            if key in ("path", "paths"):
+            if key.rsplit(".")[-1] in ("path", "paths"):
                 yield from (one for one in held if isinstance(one, str))
             else:
                 yield from _paths(child)

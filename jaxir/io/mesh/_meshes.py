@@ -152,13 +152,17 @@ def _read(file: Path) -> FileMesh:
 
 
 def _by_trimesh(file: Path) -> FileMesh:
-    """Every object that trimesh finds, wherever the file places it; one placed as its mirror image is turned around."""
+    """Every object in the file's order, wherever it is placed; one placed as its mirror image is turned around."""
     loaded = trimesh.load_scene(str(file), process=False)
     vertices, faces = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
     names: list[str] = []
     materials: list[str] = []
     offset = 0
-    for node in loaded.graph.nodes_geometry:
+    held = {name: place for place, name in enumerate(loaded.geometry)}
+    placed = loaded.graph.nodes_geometry
+    if file.suffix.lower() in (".glb", ".gltf"):
+        placed = placed[::-1]  # of their nodes trimesh visits the last first
+    for node in sorted(placed, key=lambda node: held[loaded.graph[node][1]]):
         transform, name = loaded.graph[node]
         geometry = loaded.geometry[name]
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:

@@ -18,6 +18,7 @@ from jaxir.io._files import csv_rows, largest_number, read_text, to_number
 from jaxir.optics.spectrum import TabulatedSpectrum
 from jaxir.scene.air import TableAtmosphere
 
+GAP = 10.0  # times as far apart as their neighbours are samples of a file between which there is none
 _W_PER_CM2 = 1e4  # W cm-2 in W m-2
 
 
@@ -26,7 +27,8 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
 
     The first line that is neither empty nor a comment (#) names the columns: `wavenumber_cm-1` or `wavelength_um`,
     `transmittance`, and optionally `path_radiance` [W m-2 sr-1 / cm-1, whatever the first column]. Other columns are
-    ignored, but for those that seem to hold a path radiance under another name, which are refused.
+    ignored, but for those that seem to hold a path radiance under another name, which are refused. Where samples are
+    over ten times as far apart as those on either side is a gap, and a band that reaches into it is refused.
 
     Args:
         path: the file.
@@ -68,8 +70,7 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
                 raise ValueError(f"{file}:{number}: got wavelength {values[0]}, expected > 0 um")
             values[0] = 1e4 / values[0]
         table.add(number, values[0], values[1], values[2] if shines else 0.0)
-    wavenumber, transmittance, radiance = (as_float(column) for column in table.sorted().T)
-    return TableAtmosphere(wavenumber, transmittance, radiance if shines else None)
+    return _joined([_Piece(file, table.sorted(), shines)])
 
 
 def _seems_radiance(column: str) -> bool:
@@ -88,7 +89,7 @@ def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAt
     the ground is not part of the path. Of several runs in a file the first is read.
 
     Several files are joined in the order of their wavenumbers, one for each band, say. Where they leave a gap wider
-    than their steps, the table has none of it, and a band that reaches into the gap is refused.
+    than their steps, or one of them a gap of ten, the table has none of it, and a band that reaches into it is refused.
 
     Args:
         path: the file, or several.
@@ -119,6 +120,9 @@ def load_tape7(path: str | os.PathLike | Sequence[str | os.PathLike]) -> TableAt
             parts = [table.number(number, name, lines.cell(line, name), blank=True) for name in added]
             table.add(number, wavenumber, passed, width * _W_PER_CM2 * math.fsum(parts))
         pieces.append(_Piece(file, table.sorted(), bool(added)))
+    if not any(piece.shines for piece in pieces):
+        names = ", ".join(str(file) for file in files)
+        warnings.warn(f"{names}: got no path radiance (IEMSCT 1 or 2 tell it); the air adds none", stacklevel=2)
     return _joined(pieces)
 
 
@@ -165,10 +169,7 @@ def _joined(pieces: list[_Piece]) -> TableAtmosphere:
     dark = [piece.file for piece in pieces if not piece.shines]
     if dark and len(dark) < len(pieces):
         raise ValueError(f"{dark[0]}: got no path radiance, expected one as in the other files, or none in all")
-    if dark:
-        names = ", ".join(str(file) for file in dark)
-        warnings.warn(f"{names}: got no path radiance (IEMSCT 1 or 2 tell it); the air adds none", stacklevel=3)
-    gaps = []
+    gaps = [gap for piece in pieces for gap in _gaps(piece.samples[:, 0])]
     for one, other in pairwise(pieces):
         end, start = float(one.samples[-1, 0]), float(other.samples[0, 0])
         if start <= end:
@@ -180,7 +181,16 @@ def _joined(pieces: list[_Piece]) -> TableAtmosphere:
         if start - end > 1.5 * step:
             gaps.append((end, start))
     wavenumber, transmittance, radiance = (as_float(column) for column in np.concatenate([p.samples for p in pieces]).T)
-    return TableAtmosphere(wavenumber, transmittance, None if dark else radiance, as_float(gaps) if gaps else None)
+    return TableAtmosphere(
+        wavenumber, transmittance, None if dark else radiance, as_float(sorted(gaps)) if gaps else None
+    )
+
+
+def _gaps(wavenumber: np.ndarray) -> list[tuple[float, float]]:
+    """Ranges between two samples that are `GAP` times as far apart as those on either side."""
+    step = np.diff(wavenumber)
+    far = np.flatnonzero(step[1:-1] > GAP * np.maximum(step[:-2], step[2:])) + 1
+    return [(float(wavenumber[place]), float(wavenumber[place + 1])) for place in far]
 
 
 def _both(wavenumber: float) -> str:

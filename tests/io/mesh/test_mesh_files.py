@@ -65,6 +65,19 @@ def test_objects_of_a_scene_become_parts(tmp_path):
     np.testing.assert_allclose(tail.mean((0, 1)), [5.0, 0.0, 0.0], atol=1e-6)
 
 
+def test_objects_of_a_scene_stay_in_the_order_of_the_file(tmp_path):
+    """As values by face do that were made for it."""
+    names = ["zeta", "alpha", "mid", "beta"]
+    scene = trimesh.Scene()
+    for place, name in enumerate(names):
+        moved = trimesh.transformations.translation_matrix([5.0 * place, 0.0, 0.0])
+        scene.add_geometry(_trimesh(box_mesh()), node_name=f"at {name}", geom_name=name, transform=moved)
+    scene.export(tmp_path / "four.glb")
+    body = load_mesh(tmp_path / "four.glb", unit="m")
+    assert list(body.part_names) == names
+    np.testing.assert_allclose(np.asarray(body.mesh.corners()).mean(1).reshape(4, 12, 3).mean(1)[:, 0], [0, 5, 10, 15])
+
+
 def _instances(path, transforms):
     """A GLB file of a body and of one engine in several places."""
     scene = trimesh.Scene(geometry={"body": _trimesh(box_mesh())})

@@ -114,6 +114,12 @@ def test_files_for_several_bands_are_joined(tmp_path):
     np.testing.assert_allclose(apart.on(inside).transmittance, one.on(inside).transmittance, rtol=1e-5)
     with pytest.raises(ValueError, match="expected bins outside 3.571 to 4.167 um, where TableAtmosphere has no data"):
         apart.on(NODES)
+    one_file, table = tmp_path / "gap.tp7", tmp_path / "gap.csv"
+    one_file.write_text("\n".join([*cut(tape7(2), 0, 2400)[:-2], *cut(tape7(2), 2800, 9999)[4:]]))
+    pairs = zip(apart.wavenumber.tolist(), apart.transmittance.tolist(), strict=True)
+    table.write_text("\n".join(["wavenumber_cm-1,transmittance", *(f"{nu},{passed}" for nu, passed in pairs)]))
+    for air in (load_tape7(one_file), load_atmosphere_csv(table)):
+        np.testing.assert_allclose(air.gaps, [[2400, 2800]])
     with pytest.raises(ValueError, match=r"1.tp7: begins at 2400 cm-1 .4.167 um., inside .*0.tp7, which ends at 2500"):
         load_tape7(write_pieces(tmp_path, (0, 2500), (2400, 9999)))
     (tmp_path / "d").mkdir()
