@@ -10,11 +10,12 @@ of the light at normal incidence for a roughness of .3 would otherwise appear as
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float, as_one_program, non_negative, positive
@@ -94,7 +95,8 @@ class RoughConductor(AbstractBrdf):
         diffuse = u[0] < share
         first = jnp.where(diffuse, u[0], u[0] - share) / jnp.where(diffuse, share, 1 - share)
         again = jnp.stack([jnp.clip(first, 0, 1), u[1]])
-        half = _visible_facet(again[0], 2 * jnp.pi * again[1], o, width)
+        angle = 2 * jnp.pi * again[1]
+        half = jnp.stack(_visible_facet(again[0], (jnp.cos(angle), jnp.sin(angle)), o, width))
         mirrored = matmul(2 * dot(o, half) * half - o, frame)
         return jnp.where(diffuse, cosine_direction(again, up), mirrored)
 
@@ -127,19 +129,25 @@ class RoughConductor(AbstractBrdf):
         return self._over_facets(cos_o, conductor_absorptance, self._lost_absorptance())
 
     def _over_facets(self, cos_o: Float[Array, ""], fresnel: Callable, lost: Float[Array, " node"]) -> Array:
-        """Mean of a Fresnel factor over visible facets, and the same of light that met more than one."""
-        o = jnp.stack([safe_sqrt(1 - cos_o * cos_o), jnp.zeros_like(cos_o), cos_o])
-        u, weight = (as_float(a) for a in _facet_points())
+        """Mean of a Fresnel factor over visible facets, and the same of light that met more than one.
 
-        def facet(u: Array, weight: Array) -> tuple[Array, Array]:
-            half = _visible_facet(u[0], jnp.pi * u[1], o, self.roughness)
-            cos = jnp.clip(cos_o * half[2] + o[0] * half[0], 0, 1)
-            out = 2 * cos * half[2] - cos_o
+        Facet by facet: XLA makes no vector code of sums over an axis so short.
+        """
+        sine = safe_sqrt(1 - cos_o * cos_o)
+        o = sine, jnp.zeros_like(sine), cos_o
+
+        def add(sums: tuple[Array, Array], own: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
+            u, *turned, weight = own
+            x, _, z = _visible_facet(u, turned, o, self.roughness)
+            cos = jnp.clip(cos_o * z + sine * x, 0, 1)
+            out = 2 * cos * z - cos_o
             above = out > 0
             seen = weight * jnp.where(above, _seen(cos_o, jnp.where(above, out, 1), self.roughness), 0)
-            return seen * self._of_facet(fresnel, cos), seen
+            return (sums[0] + seen * self._of_facet(fresnel, cos), sums[1] + seen), None
 
-        total, below = (jnp.sum(part, axis=0) for part in jax.vmap(facet)(u, weight))
+        spans = (leaf.shape for leaf in (self.index, self.extinction, self.roughness))
+        none = jnp.zeros(jnp.broadcast_shapes(*spans), sine.dtype), jnp.zeros_like(self.roughness)
+        (total, below), _ = lax.scan(add, none, tuple(map(as_float, _facet_points())))
         loss = _loss(cos_o, self.roughness)
         return safe_divide((1 - loss) * total, below) + loss * lost
 
@@ -149,9 +157,14 @@ class RoughConductor(AbstractBrdf):
 
     def _mean(self, fresnel: Callable) -> Float[Array, " node"]:
         """Mean of a Fresnel factor over cosine-weighted directions."""
-        point, weight = (as_float(a) for a in gauss_legendre(_MEAN))
-        each = jax.vmap(lambda cos: self._of_facet(fresnel, cos))(point)
-        return jnp.sum(2 * (weight * point)[:, None] * each, axis=0)
+        point, weight = gauss_legendre(_MEAN)
+
+        def add(total: Array, own: tuple[Array, Array]) -> tuple[Array, None]:
+            cos, weight = own
+            return total + weight * self._of_facet(fresnel, cos), None
+
+        none = jnp.zeros(jnp.broadcast_shapes(self.index.shape, self.extinction.shape), self.index.dtype)
+        return lax.scan(add, none, (as_float(point), as_float(2 * weight * point)))[0]
 
     def _lost_absorptance(self) -> Float[Array, " node"]:
         """1 - F_ms = A (1 + F E) / (1 - F (1 - E)), F = 1 - A and E means over cosine-weighted directions."""
@@ -191,16 +204,23 @@ def _half(i: Float[Array, " 3"], o: Float[Array, " 3"]) -> Float[Array, " 3"]:
 
 
 def _visible_facet(
-    u: Float[Array, ""], angle: Float[Array, ""], o: Float[Array, " 3"], roughness: Float[Array, "..."]
-) -> Float[Array, "3 ..."]:
-    """Normal of a facet seen from `o` with density D G1 max(o . h, 0) / o_z: a point of a spherical cap, stretched."""
+    u: Float[Array, ""],
+    turned: Sequence[Array],
+    o: Sequence[Array] | Float[Array, " 3"],
+    roughness: Float[Array, "..."],
+) -> tuple[Array, Array, Array]:
+    """Normal of a facet seen from `o` with density D G1 max(o . h, 0) / o_z: a point of a spherical cap, stretched.
+
+    `turned` are cosine and sine of its angle about the cap's axis. Components by themselves, for vector code.
+    """
     long = jnp.sqrt(o[2] ** 2 + roughness**2 * (o[0] ** 2 + o[1] ** 2))
     x, y, z = roughness * o[0] / long, roughness * o[1] / long, o[2] / long
     height = (1 - u) * (1 + z) - z
     radius = safe_sqrt(1 - height * height)
-    h = jnp.stack([roughness * (radius * jnp.cos(angle) + x), roughness * (radius * jnp.sin(angle) + y), height + z])
-    square = jnp.sum(h * h, axis=0)
-    return h / jnp.sqrt(jnp.where(square > 0, square, 1))[None]
+    h = roughness * (radius * turned[0] + x), roughness * (radius * turned[1] + y), height + z
+    square = h[0] * h[0] + h[1] * h[1] + h[2] * h[2]
+    length = jnp.sqrt(jnp.where(square > 0, square, 1))
+    return h[0] / length, h[1] / length, h[2] / length
 
 
 def _one_width(roughness: Float[Array, " node"]) -> Float[Array, ""]:
@@ -219,10 +239,8 @@ def _diffuse_share(cos_o: Float[Array, ""], roughness: Float[Array, ""]) -> Floa
 def _loss(cos: Float[Array, "..."], roughness: Float[Array, "..."]) -> Float[Array, "..."]:
     """1 - E(cos, a), a Chebyshev series in sqrt(cos (1 + a) / (cos + a)) and a."""
     t = safe_sqrt(cos * (1 + roughness) / (cos + roughness))
-    table = as_float(_loss_table()[0])
-    in_t, in_a = _chebyshev(2 * t - 1, _DEGREE[0]), _chebyshev(2 * roughness - 1, _DEGREE[1])
-    series = jnp.sum(in_t * tensordot(table, in_a, 1), axis=0)
-    return jnp.maximum(series, 0)  # the fit's own error of 1e-4 around a true 0
+    in_t = tensordot(as_float(_loss_table()[0]), _chebyshev(2 * roughness - 1, _DEGREE[1]), 1)
+    return jnp.maximum(_series(list(in_t), 2 * t - 1), 0)  # the fit's own error of 1e-4 around a true 0
 
 
 def _mean_loss(roughness: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -231,7 +249,15 @@ def _mean_loss(roughness: Float[Array, "..."]) -> Float[Array, "..."]:
     It is that of the series, whatever this errs: of what multiply scattered light is divided by it, all is sent.
     """
     x = 1 - 2 * jnp.log(roughness) / np.log(NARROWEST)
-    return jnp.exp(tensordot(as_float(_loss_table()[1]), _chebyshev(x, _OF_MEAN), 1))
+    return jnp.exp(_series(_loss_table()[1].tolist(), x))
+
+
+def _series(coefficients: Sequence[Any], x: Float[Array, "..."]) -> Array:
+    """Sum of coefficients times T_k(x), the last first (Clenshaw, Math. Comp. 9, 1955, 118)."""
+    after, last = 0.0, 0.0
+    for coefficient in coefficients[:0:-1]:
+        after, last = coefficient + 2 * x * after - last, after
+    return coefficients[0] + x * after - last
 
 
 def _chebyshev(x: Float[Array, "*leaf"], count: int) -> Float[Array, "order *leaf"]:
@@ -292,12 +318,12 @@ def _single_scattering(cos: np.ndarray, roughness: np.ndarray) -> np.ndarray:
 
 
 @functools.cache
-def _facet_points() -> tuple[np.ndarray, np.ndarray]:
-    """Quadrature over visible facets: (u, angle / pi) [point, 2] and weights [point]."""
+def _facet_points() -> tuple[np.ndarray, ...]:
+    """Quadrature over visible facets: u, cosine and sine of the angle, weights [point]."""
     u, weight = gauss_legendre(_COARSE)
     turn = (np.arange(_COARSE) + 0.5) / _COARSE  # midpoints: spectral for an even periodic function
-    pairs = np.stack(np.meshgrid(u, turn, indexing="ij"), axis=-1).reshape(-1, 2)
-    return pairs, np.repeat(weight / _COARSE, _COARSE)
+    u, turn = (x.ravel() for x in np.meshgrid(u, turn, indexing="ij"))
+    return u, np.cos(np.pi * turn), np.sin(np.pi * turn), np.repeat(weight / _COARSE, _COARSE)
 
 
 def _chebyshev_points(count: int) -> np.ndarray:

@@ -6,6 +6,8 @@ Discrimination (1985): a diffuse part, an emissivity that falls towards grazing,
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -21,9 +23,10 @@ from jaxir.optics.surface._brdf import (
     width_of_lobe,
 )
 
-_POINTS = 24
+_POINTS = 8  # of integrals whose poles lie so far away that these err by rounding in double precision
 _ROUNDING = 8  # units of the last place by which a sum that is 1 may exceed it
 _WIDE = 0.7  # width beyond which the lobe is integrated by quadrature, because its closed form cancels
+_SHALLOW = 0.7  # b^2 beyond which the fall towards grazing is
 
 
 class SandfordRobertson(AbstractBrdf):
@@ -146,13 +149,19 @@ def _fall(cos: Float[Array, ""], grazing: Float[Array, "*leaf"]) -> Float[Array,
 
 def _total(b2: Float[Array, "*leaf"]) -> Float[Array, "*leaf"]:
     """G(b) = 2 int_0^1 x / (b2 + (1 - b2) x) dx = (2 / q) (1 + b2 ln b2 / q) with q = 1 - b2."""
-    narrow = b2 < 0.5
+    narrow = b2 < _SHALLOW
     r = jnp.where(narrow, b2, 0)
     logarithm = jnp.log(jnp.where(r > 0, r, 1))
     closed = 2 / (1 - r) * (1 + r * logarithm / (1 - r))
-    x, weight = (as_float(a).reshape((-1,) + (1,) * b2.ndim) for a in gauss_legendre(_POINTS))
-    wide = jnp.where(narrow, 1, b2)[None]
-    return jnp.where(narrow, closed, 2 * jnp.sum(weight * x / (wide + (1 - wide) * x), axis=0))
+    wide = jnp.where(narrow, 1, b2)
+    return jnp.where(narrow, closed, 2 * _integral(lambda x: x / (wide + (1 - wide) * x)))
+
+
+def _integral(integrand: Callable[[float], Array]) -> Array:
+    """Over [0, 1], term by term: XLA makes no vector code of sums over an axis so short."""
+    points, weights = gauss_legendre(_POINTS)
+    each = [weight * integrand(point) for point, weight in zip(points.tolist(), weights.tolist(), strict=True)]
+    return sum(each[1:], each[0])
 
 
 def _mirror(omega: Float[Array, " 3"], normal: Float[Array, " 3"]) -> Float[Array, " 3"]:
@@ -186,12 +195,14 @@ def _norm(cos: Float[Array, ""], width: Float[Array, " leaf"]) -> Float[Array, "
     root = jnp.sqrt(4 * e2 + (b * cos) ** 2)
     logarithm = jnp.log((root + a * cos) / (2 * e2 * (1 + cos)))
     closed = (a * (b * cos + root) - 4 * e2) / (8 * e2 * b * b) - cos * logarithm / (2 * b * b)
-    c, weight = (as_float(x)[:, None] for x in gauss_legendre(_POINTS))
-    e2 = (jnp.where(narrow, 1, width) ** 2)[None]
+    e2 = jnp.where(narrow, 1, width) ** 2
     a, b = 1 + e2, 1 - e2
-    # Q as a sum of squares: (B c - A mu)^2 + 4 e^2 (1 - mu^2)
-    q = (b * c - a * cos) ** 2 + 4 * e2 * (1 - cos * cos)
-    return jnp.where(narrow, closed, jnp.sum(weight * c * (a - b * cos * c) / q**1.5, axis=0) / 2)
+
+    def over(c: float) -> Array:
+        q = (b * c - a * cos) ** 2 + 4 * e2 * (1 - cos * cos)  # as a sum of squares
+        return c * (a - b * cos * c) / (q * jnp.sqrt(q))
+
+    return jnp.where(narrow, closed, _integral(over) / 2)
 
 
 def _mean_width(width: Float[Array, " leaf"]) -> Float[Array, ""]:
