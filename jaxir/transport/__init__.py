@@ -1,7 +1,6 @@
 """How light travels: trace once where rays go, evaluate as often as values change."""
 
 from jaxir.transport._brightness import beyond_frame as beyond_frame
-from jaxir.transport._brightness import brightness as brightness
 from jaxir.transport._brightness import faces_in_sight as faces_in_sight
 from jaxir.transport._brightness import graded_cameras as graded_cameras
 from jaxir.transport._brightness import patch_that_shines as patch_that_shines

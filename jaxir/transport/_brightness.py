@@ -98,7 +98,7 @@ def _shining(lit: Lit, behind: Float[Array, " node"] | None = None) -> _Shining:
     return _Shining(corners, radiance, gloss, ends, radius, intensity)
 
 
-def brightness(shining: _Shining, eye: Eye | None) -> Brightness:
+def _bright(shining: _Shining, eye: Eye | None) -> Brightness:
     """Where a scene is bright, each band's intensity normalised and the bands averaged; to an eye if skin is glossy."""
     corners, radiance, ends, radius, intensity = _seen(shining, eye)
     area = jnp.linalg.norm(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -255,12 +255,12 @@ def _shining_of(lit: Lit) -> _Shining:
 def _cameras(outlook: _Outlook, aspect: Float[Array, "view 2"], wanted: Bool[Array, " view"] | None) -> Camera:
     """A camera for every aspect, zeros for those that are not wanted."""
     extent, shining, shape, distance = outlook
-    alike = brightness(shining, None) if shining.gloss is None else None
+    alike = _bright(shining, None) if shining.gloss is None else None
 
     def camera(aspect: Array) -> Camera:
         bright = alike
         if bright is None:
-            bright = brightness(shining, camera_around(view_frame(*aspect), extent, shape, distance).eye)
+            bright = _bright(shining, camera_around(view_frame(*aspect), extent, shape, distance).eye)
         return graded_camera(aspect[0], aspect[1], extent, bright, shape, distance)
 
     if wanted is None:

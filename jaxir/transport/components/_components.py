@@ -175,7 +175,7 @@ def _own_media(scene: Scene, nodes: Nodes, method: Method, components: Component
 
     def one(kept: tuple[Array, ...]) -> AbstractMedium:
         dimmed, own = _shining(lit, method, kept, None)
-        found = with_scattered(dimmed, own).medium
+        found = with_scattered(dimmed, own, told=False).medium
         assert found is not None
         return found
 
