@@ -8,10 +8,11 @@ above its horizon.
 from __future__ import annotations
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_one_program
-from jaxir._math import dot, matmul, safe_sqrt
+from jaxir._math import dot, safe_sqrt
 from jaxir.geometry._sampling import polygon_vector
 
 
@@ -89,30 +90,30 @@ def polygon_form_factor(
 
     Differentiable in all three, apart from corners in the horizon and points on an edge.
     """
-    begin = corners - point[None]
-    end = jnp.roll(begin, -1, axis=0)
-    h0, h1 = matmul(begin, receiver), matmul(end, receiver)
-    crosses = (h0 > 0) != (h1 > 0)
-    part = jnp.where(crosses, h0 / jnp.where(crosses, h0 - h1, 1), 0)
-    cut = begin + part[:, None] * (end - begin)
-    first = jnp.where((h0 > 0)[:, None], begin, cut)
-    last = jnp.where((h1 > 0)[:, None], end, cut)
-    kept = (h0 > 0) | (h1 > 0)
-    leaving, entering = crosses & (h0 > 0), crosses & (h1 > 0)
-    exit_point = jnp.sum(jnp.where(leaving[:, None], cut, 0), axis=0)
-    entry_point = jnp.sum(jnp.where(entering[:, None], cut, 0), axis=0)
-    total = jnp.sum(jnp.where(kept, _edge(first, last, receiver), 0))
-    total = total + _edge(exit_point[None], entry_point[None], receiver)[0]
-    return jnp.where(dot(polygon_vector(corners), begin[0]) < 0, jnp.maximum(-total, 0) / (2 * jnp.pi), 0)
+
+    def add(sums: tuple[Array, Array, Array], edge: tuple[Array, Array]) -> tuple[tuple[Array, Array, Array], None]:
+        total, exit_point, entry_point = sums
+        begin, end = edge[0] - point, edge[1] - point
+        h0, h1 = dot(begin, receiver), dot(end, receiver)
+        crosses = (h0 > 0) != (h1 > 0)
+        part = jnp.where(crosses, h0 / jnp.where(crosses, h0 - h1, 1), 0)
+        cut = begin + part * (end - begin)
+        own = _edge(jnp.where(h0 > 0, begin, cut), jnp.where(h1 > 0, end, cut), receiver)
+        total = total + jnp.where((h0 > 0) | (h1 > 0), own, 0)
+        leaving, entering = (jnp.where(crosses & (h > 0), cut, 0) for h in (h0, h1))
+        return (total, exit_point + leaving, entry_point + entering), None
+
+    none = jnp.zeros((), point.dtype), jnp.zeros_like(point), jnp.zeros_like(point)
+    (total, leaves, enters), _ = lax.scan(add, none, (corners, jnp.roll(corners, -1, axis=0)))
+    total = total + _edge(leaves, enters, receiver)  # along the horizon
+    return jnp.where(dot(polygon_vector(corners), corners[0] - point) < 0, jnp.maximum(-total, 0) / (2 * jnp.pi), 0)
 
 
-def _edge(
-    begin: Float[Array, "edge 3"], end: Float[Array, "edge 3"], receiver: Float[Array, " 3"]
-) -> Float[Array, " edge"]:
-    """Angle of each edge times the unit normal of its plane along the receiver's; 0 for an edge seen end on."""
+def _edge(begin: Float[Array, " 3"], end: Float[Array, " 3"], receiver: Float[Array, " 3"]) -> Float[Array, ""]:
+    """Angle of an edge times the unit normal of its plane along the receiver's; 0 for one that is seen end on."""
     cross = jnp.cross(begin, end)
-    square = jnp.sum(cross * cross, axis=-1)
+    square = dot(cross, cross)
     seen = square > 0
     sine = jnp.sqrt(jnp.where(seen, square, 1))
-    angle = jnp.arctan2(sine, jnp.where(seen, jnp.sum(begin * end, axis=-1), 1))
-    return jnp.where(seen, angle / sine * matmul(cross, receiver), 0)
+    angle = jnp.arctan2(sine, jnp.where(seen, dot(begin, end), 1))
+    return jnp.where(seen, angle / sine * dot(cross, receiver), 0)
