@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
 
 from jaxir._arrays import Check, on_host
 from jaxir._fields import Physical, Range, per_face, quantity
@@ -62,7 +62,7 @@ class AbstractBrdf(Physical):
 
     def at(self: B, face: Int[Array, "*batch"]) -> B:
         """The brdf of one face (or of a batch of faces): every leaf [face | 1, ...] loses its face axis."""
-        return jax.tree.map(lambda leaf: leaf[face if leaf.shape[0] > 1 else jnp.zeros_like(face)], self)
+        return jax.tree.map(lambda leaf: at_face(leaf, face), self)
 
     def gray(self: B) -> B:
         """The same with parameters in their mean over the nodes [face | 1, ..., 1]."""
@@ -72,6 +72,11 @@ class AbstractBrdf(Physical):
         """(faces, nodes) that the parameters span; 1 where they are common to all faces or all nodes."""
         spans = [leaf.shape if leaf.ndim > 1 else (leaf.shape[0], 1) for leaf in jax.tree.leaves(self)]
         return np.broadcast_shapes(*((span[0], span[-1]) for span in spans))
+
+
+def at_face(leaf: Shaped[Array, "face *more"], face: Int[Array, "*batch"]) -> Array:
+    """A leaf of a brdf at faces [*batch, *more]; its first axis is 1 where it is the same for all."""
+    return leaf[face if leaf.shape[0] > 1 else jnp.zeros_like(face)]
 
 
 def parameter(within: Range) -> Any:

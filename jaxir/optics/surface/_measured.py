@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxir._arrays import Check, as_float, fraction, non_negative
 from jaxir._fields import quantity
 from jaxir._math import dot, einsum, gauss_legendre, safe_sqrt
-from jaxir.optics.surface._brdf import AbstractBrdf, cosine_density, cosine_direction, facing
+from jaxir.optics.surface._brdf import AbstractBrdf, at_face, cosine_density, cosine_direction, facing
 
 
 class BrdfTable(AbstractBrdf):
@@ -27,11 +28,14 @@ class BrdfTable(AbstractBrdf):
     Attributes:
         value: [face | 1, theta_i, theta_o, azimuth, node | 1] [sr-1]; thetas run from 0 to pi / 2, azimuth from 0
             (backscatter) to pi (the plane of specular reflection).
+        albedo: reflectance at the table's theta_o [theta_o, node | 1] of one that was taken `at` a face: an integral
+            over the table for each ray would be most of its work; None where it follows from `value`.
 
     Differentiable in `value`, and in directions between the table's points.
     """
 
     value: Float[Array, "..."] = quantity("sr-1", None, non_negative)
+    albedo: Float[Array, "..."] | None
 
     def __init__(self, value: Any):
         """Convert and symmetrise.
@@ -58,7 +62,12 @@ class BrdfTable(AbstractBrdf):
         array = (array + jnp.swapaxes(array, 1, 2)) / 2
         normal = np.minimum(*np.indices(array.shape[1:3]))[None, :, :, None, None] == 0
         even = einsum("fijkn,k->fijn", array, as_float(_trapezoid(array.shape[3])))
-        self.value = jnp.where(normal, even[:, :, :, None], array)
+        self.value, self.albedo = jnp.where(normal, even[:, :, :, None], array), None
+
+    def at(self, face: Int[Array, "*batch"]) -> BrdfTable:
+        """See `AbstractBrdf.at`, with its reflectance."""
+        own = tuple(at_face(leaf, face) for leaf in (self.value, self._albedo()))
+        return eqx.tree_at(lambda b: (b.value, b.albedo), self, own, is_leaf=lambda leaf: leaf is None)
 
     @property
     def diffuse(self) -> bool:
@@ -103,6 +112,8 @@ class BrdfTable(AbstractBrdf):
 
     def _albedo(self) -> Float[Array, "*face theta node"]:
         """Reflectance at the table's theta_o."""
+        if self.albedo is not None:
+            return self.albedo
         polar, turn = self.value.shape[-4], self.value.shape[-2]
         weight = 2 * np.outer(_hat_weights(polar), np.pi * _trapezoid(turn))
         return einsum("...ijkn,ik->...jn", self.value, as_float(weight))

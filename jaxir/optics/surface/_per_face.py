@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxir.optics.surface._brdf import AbstractBrdf
+from jaxir.optics.surface._brdf import AbstractBrdf, at_face
 
 
 class BrdfPerFace(AbstractBrdf):
@@ -54,6 +55,11 @@ class BrdfPerFace(AbstractBrdf):
         self.kinds = tuple(kinds)
         self.kind = jax.device_put(index.astype(np.int32))
         self.shape()
+
+    def at(self, face: Int[Array, "*batch"]) -> BrdfPerFace:
+        """See `AbstractBrdf.at`."""
+        own = tuple(brdf.at(face) for brdf in self.kinds), at_face(self.kind, face)
+        return eqx.tree_at(lambda b: (b.kinds, b.kind), self, own)
 
     @property
     def diffuse(self) -> bool:
