@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -159,10 +160,8 @@ def _by_trimesh(file: Path) -> FileMesh:
     materials: list[str] = []
     offset = 0
     held = {name: place for place, name in enumerate(loaded.geometry)}
-    placed = loaded.graph.nodes_geometry
-    if file.suffix.lower() in (".glb", ".gltf"):
-        placed = placed[::-1]  # of their nodes trimesh visits the last first
-    for node in sorted(placed, key=lambda node: held[loaded.graph[node][1]]):
+    places = [node for node in _walked(loaded.graph, file) if loaded.graph[node][1] is not None]
+    for node in sorted(places, key=lambda node: held[loaded.graph[node][1]]):
         transform, name = loaded.graph[node]
         geometry = loaded.geometry[name]
         if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
@@ -179,6 +178,16 @@ def _by_trimesh(file: Path) -> FileMesh:
         offset += len(points)
     kinds = indices(materials) if any(materials) else ()
     return FileMesh(np.concatenate(vertices), np.concatenate(faces), *indices(names), *kinds)
+
+
+def _walked(graph: Any, file: Path) -> Iterator[Any]:
+    """Nodes of a scene, each before those it carries, in the file's order."""
+    back = -1 if file.suffix.lower() in (".glb", ".gltf") else 1  # of their nodes trimesh visits the last first
+    left = [graph.base_frame]
+    while left:
+        node = left.pop()
+        yield node
+        left += list(graph.transforms.children.get(node, ()))[::-back]
 
 
 def _require_whole_glb(file: Path) -> None:

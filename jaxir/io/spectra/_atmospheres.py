@@ -18,7 +18,7 @@ from jaxir.io._files import csv_rows, largest_number, read_text, to_number
 from jaxir.optics.spectrum import TabulatedSpectrum
 from jaxir.scene.air import TableAtmosphere
 
-GAP = 10.0  # times as far apart as their neighbours are samples of a file between which there is none
+GAP, WIDE = 10.0, 0.01  # times as far apart as their neighbours, and share of the range, are samples beside a gap
 _W_PER_CM2 = 1e4  # W cm-2 in W m-2
 
 
@@ -28,7 +28,8 @@ def load_atmosphere_csv(path: str | os.PathLike) -> TableAtmosphere:
     The first line that is neither empty nor a comment (#) names the columns: `wavenumber_cm-1` or `wavelength_um`,
     `transmittance`, and optionally `path_radiance` [W m-2 sr-1 / cm-1, whatever the first column]. Other columns are
     ignored, but for those that seem to hold a path radiance under another name, which are refused. Where samples are
-    over ten times as far apart as those on either side is a gap, and a band that reaches into it is refused.
+    over ten times as far apart as those on either side, and over a hundredth of the range, there is a gap, and a band
+    that reaches into it is refused.
 
     Args:
         path: the file.
@@ -187,9 +188,10 @@ def _joined(pieces: list[_Piece]) -> TableAtmosphere:
 
 
 def _gaps(wavenumber: np.ndarray) -> list[tuple[float, float]]:
-    """Ranges between two samples that are `GAP` times as far apart as those on either side."""
+    """Ranges between two samples that are `GAP` times as far apart as those on either side; `WIDE` ones."""
     step = np.diff(wavenumber)
-    far = np.flatnonzero(step[1:-1] > GAP * np.maximum(step[:-2], step[2:])) + 1
+    least = np.maximum(GAP * np.maximum(step[:-2], step[2:]), WIDE * (wavenumber[-1] - wavenumber[0]))
+    far = np.flatnonzero(step[1:-1] > least) + 1
     return [(float(wavenumber[place]), float(wavenumber[place + 1])) for place in far]
 
 

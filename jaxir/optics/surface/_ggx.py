@@ -253,11 +253,16 @@ def _mean_loss(roughness: Float[Array, "..."]) -> Float[Array, "..."]:
 
 
 def _series(coefficients: Sequence[Any], x: Float[Array, "..."]) -> Array:
-    """Sum of coefficients times T_k(x), the last first (Clenshaw, Math. Comp. 9, 1955, 118)."""
-    after, last = 0.0, 0.0
-    for coefficient in coefficients[:0:-1]:
-        after, last = coefficient + 2 * x * after - last, after
-    return coefficients[0] + x * after - last
+    """Sum of coefficients times T_k(x), at least two, by the recurrence of `_chebyshev`.
+
+    The last first, as Clenshaw sums, XLA's simplifier turns in circles in programs of one roughness, and says so.
+    """
+    before, last = jnp.ones_like(x), x
+    total = coefficients[0] + coefficients[1] * x
+    for coefficient in coefficients[2:]:
+        before, last = last, 2 * x * last - before
+        total = total + coefficient * last
+    return total
 
 
 def _chebyshev(x: Float[Array, "*leaf"], count: int) -> Float[Array, "order *leaf"]:

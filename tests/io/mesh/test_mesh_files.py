@@ -78,6 +78,18 @@ def test_objects_of_a_scene_stay_in_the_order_of_the_file(tmp_path):
     np.testing.assert_allclose(np.asarray(body.mesh.corners()).mean(1).reshape(4, 12, 3).mean(1)[:, 0], [0, 5, 10, 15])
 
 
+def test_an_object_in_a_place_that_another_carries_comes_after_it(tmp_path):
+    scene = trimesh.Scene(geometry={"engine": _trimesh(box_mesh())})
+    scene.graph.update(frame_to="first", geometry="engine", matrix=np.eye(4))
+    for name, before, away in (("carried", "first", 20.0), ("next", "first", 10.0), ("last", "world", 30.0)):
+        moved = trimesh.transformations.translation_matrix([away, 0.0, 0.0])
+        scene.graph.update(frame_from=before, frame_to=name, geometry="engine", matrix=moved)
+    scene.export(tmp_path / "tree.glb")
+    corners = np.asarray(load_mesh(tmp_path / "tree.glb", unit="m").mesh.corners())
+    middle = corners.mean(1).reshape(-1, 12, 3).mean(1)[:, 0]
+    np.testing.assert_allclose(middle, [0, 0, 20, 10, 30], atol=1e-5)  # the first is where trimesh places it by itself
+
+
 def _instances(path, transforms):
     """A GLB file of a body and of one engine in several places."""
     scene = trimesh.Scene(geometry={"body": _trimesh(box_mesh())})

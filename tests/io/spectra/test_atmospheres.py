@@ -120,6 +120,9 @@ def test_files_for_several_bands_are_joined(tmp_path):
     table.write_text("\n".join(["wavenumber_cm-1,transmittance", *(f"{nu},{passed}" for nu, passed in pairs)]))
     for air in (load_tape7(one_file), load_atmosphere_csv(table)):
         np.testing.assert_allclose(air.gaps, [[2400, 2800]])
+    uneven = np.sort(np.random.default_rng(0).uniform(1000.0, 4000.0, 3000))
+    table.write_text("\n".join(["wavenumber_cm-1,transmittance", *(f"{nu:.9g},0.5" for nu in uneven)]))
+    assert load_atmosphere_csv(table).gaps is None
     with pytest.raises(ValueError, match=r"1.tp7: begins at 2400 cm-1 .4.167 um., inside .*0.tp7, which ends at 2500"):
         load_tape7(write_pieces(tmp_path, (0, 2500), (2400, 9999)))
     (tmp_path / "d").mkdir()
