@@ -16,8 +16,8 @@ from jaxtyping import Array, Float
 from jaxir._arrays import Check, as_float, broadcast, enforce, positive, reshaped
 from jaxir.geometry import Camera, view_checks
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
-from jaxir.scene import Scene, on_nodes, scene_nodes
-from jaxir.transport import Method, graded_cameras
+from jaxir.scene import Lit, Scene, on_nodes, scene_nodes
+from jaxir.transport import Method, graded_cameras, with_scattered
 
 
 class Measurement(eqx.Module):
@@ -48,6 +48,10 @@ class Measurement(eqx.Module):
         if self.bands is None:
             return self
         return dataclasses.replace(self, nodes=scene_nodes(scene, self.bands), bands=None)
+
+    def lit(self, scene: Scene) -> Lit:
+        """A scene on its nodes, with what particles scatter found once for all rays where that is solved for."""
+        return with_scattered(scene.on(self.nodes), self.method, told=False)
 
     def checks(self) -> list[Check]:
         """Values are finite, standard deviations positive."""

@@ -23,7 +23,7 @@ from jaxir.geometry import Camera, Crossings, Rays, hilbert_index, pixel_samples
 from jaxir.geometry.search import MARGIN, closest_hit
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene
-from jaxir.transport import Paths, evaluate, store_route, trace, with_scattered
+from jaxir.transport import Paths, evaluate, store_route, trace
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 BLOCKS = 8  # of an image's pixels, whose sampling errors are independent
@@ -85,7 +85,7 @@ class Observation(eqx.Module):
         """
         measurement = self.measurement
         nodes, (rows, bands) = measurement.nodes, measurement.value.shape
-        lit = with_scattered(scene.on(nodes), measurement.method, told=False)  # once for all rays
+        lit = measurement.lit(scene)
         totals = jnp.zeros((2 * self.blocks * rows, bands), measurement.value.dtype)
         if self.through is not None:
             totals = self.through.add(lit, totals)

@@ -48,7 +48,7 @@ from jaxir.fit._walk import (
     walk,
 )
 from jaxir.scene import Scene
-from jaxir.transport import Paths, evaluate, with_scattered
+from jaxir.transport import Paths, evaluate
 
 LEADING = 32  # rays of each half of a row that lead a jet near the solution
 STEERING = 448  # that tell the slopes there: standard deviations within 0.2 to 1.6 % of those of all, for eight keys
@@ -314,7 +314,7 @@ def _chosen(observed: Observation) -> tuple[ViewRays | None, ViewRays | None]:
 @program
 def _parts(rays: RaySum, scene: Scene, measurement: Measurement) -> Float[Array, "chunk slice place band"]:
     """Magnitude of what each ray adds to its row."""
-    lit = with_scattered(scene.on(measurement.nodes), measurement.method, told=False)
+    lit = measurement.lit(scene)
 
     def chunk(each: tuple[Paths, Array]) -> Array:
         paths, weight = each

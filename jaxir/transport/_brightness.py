@@ -86,9 +86,8 @@ def _shining(lit: Lit, behind: Float[Array, " node"] | None = None) -> _Shining:
         emissivity, beams = _emissivity(lit), _beams(lit, corners.mean(axis=1), normal)
         if beams and not skin.brdf.diffuse:
             omega, cosine, light = (jnp.stack(part) for part in zip(*beams, strict=True))
-            share = 1 - emissivity
-            reflected = jax.vmap(lambda cosine, light: lit.nodes.in_band(jnp.where(cosine > 0, share * light, 0)))
-            gloss = _Gloss(skin.brdf.gray().at(every), normal, omega, reflected(cosine, light))
+            reflected = lit.nodes.in_band(jnp.where(cosine > 0, (1 - emissivity)[None] * light, 0))
+            gloss = _Gloss(skin.brdf.gray().at(every), normal, omega, reflected)
             beams = []
         dark = jnp.zeros((len(corners), lit.nodes.count), dtype)
         radiance = lit.nodes.in_band(_of_skin(lit, emissivity, _irradiance(beams, dark), behind))

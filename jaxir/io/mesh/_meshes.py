@@ -182,12 +182,13 @@ def _by_trimesh(file: Path) -> FileMesh:
 
 def _walked(graph: Any, file: Path) -> Iterator[Any]:
     """Nodes of a scene, each before those it carries, in the file's order."""
-    back = -1 if file.suffix.lower() in (".glb", ".gltf") else 1  # of their nodes trimesh visits the last first
+    last_first = file.suffix.lower() in (".glb", ".gltf")  # so trimesh lists what a node of theirs carries
     left = [graph.base_frame]
     while left:
         node = left.pop()
         yield node
-        left += list(graph.transforms.children.get(node, ()))[::-back]
+        carried = graph.transforms.children.get(node, [])
+        left += carried if last_first else reversed(carried)
 
 
 def _require_whole_glb(file: Path) -> None:
