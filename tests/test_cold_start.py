@@ -17,7 +17,9 @@ import jaxir
 from jaxir import MWIR, _cache
 from jaxir._cache import _SUFFIX
 from jaxir._programs import program
+from jaxir.optics.spectrum import gray_nodes
 from jaxir.scene import _resolution
+from jaxir.transport import with_scattered
 
 ROOT = Path(__file__).parent.parent
 GRID = jaxir.Grid((-1.0, -0.5, -0.5), (0.25, 0.25, 0.25), (4, 4, 4))
@@ -66,6 +68,24 @@ def test_no_program_is_compiled_twice_for_one_structure(quantity, transformation
     second = found(jnp.asarray([0.7, 800.0]))
     assert not COMPILED
     assert all(np.any(a != b) for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True))
+
+
+def test_light_that_is_solved_for_compiles_nothing_again():
+    """Of a plume in the sun, differentiated without `jax.jit`."""
+    method = jaxir.Method(scattering=jaxir.DiscreteOrdinates(4, 4, 1))
+
+    def light(x):
+        particles = jaxir.GrayParticles(x[0], 0.9, jaxir.HenyeyGreenstein(0.5))
+        cloud = jaxir.GridPlume(GRID, x[1], jaxir.GrayGas(0.5), particles=particles)
+        lit = with_scattered(jaxir.Scene(None, cloud, (SUN,)).on(gray_nodes((MWIR,))), method)
+        return lit.medium.parts[0].moments.sum()
+
+    for of in (light, TRANSFORMATIONS["jvp"](light)):
+        first = of(jnp.asarray([0.8, 900.0]))
+        del COMPILED[:]
+        second = of(jnp.asarray([0.7, 800.0]))
+        assert not COMPILED
+        assert all(a != b for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True))
 
 
 def test_numbers_set_into_fields_compile_nothing():

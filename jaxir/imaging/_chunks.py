@@ -121,8 +121,9 @@ class Pass(NamedTuple):
 
     def seeing(self, lit: Lit) -> Pass:
         """The same of a scene with its scattered light."""
-        lacks = lattice_lacks(lit.in_vacuum(), self.camera.undivided())
-        return self._replace(lit=aimed(lit, self.camera), lacking=lattice_error(lit, lacks))
+        held, camera = lax.stop_gradient((lit, self.camera))  # an error has no derivative
+        lacks = lattice_lacks(held.in_vacuum(), camera.undivided())
+        return self._replace(lit=aimed(lit, self.camera), lacking=lattice_error(held, lacks))
 
     @property
     def strata_at_once(self) -> int:

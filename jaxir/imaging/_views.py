@@ -327,8 +327,9 @@ def prepare_views(
     lit = with_scattered(bare, method)
     if lit is not bare:
         lit = enforce(lit, solution_checks(lit))
-        lacks = stacked(lattice_lacks, lit.in_vacuum(), jax.vmap(Camera.undivided)(cameras), "lattice")
-        lacking = lattice_error(lit, lacks)
+        held, eyes = lax.stop_gradient((lit, cameras))  # an error has no derivative
+        lacks = stacked(lattice_lacks, held.in_vacuum(), jax.vmap(Camera.undivided)(eyes), "lattice")
+        lacking = lattice_error(held, lacks)
     split = with_own_media(scene, nodes, method, components_of(scene, method, components))
     strata = division(samples, not is_traced((lit, cameras, key)))
     return Views(Shared(lit, key, strata, method, split), cameras, aspect, left, lacking)

@@ -81,8 +81,7 @@ def _solved(lit: Lit, method: Method, told: bool) -> AbstractMedium:
     equations = _posed(lit, method)
     count = equations.groups.unscattered.shape[0]
     if is_traced(equations):
-        solutions = lax.map(lambda k: solution(equations, ordinates, k, told), jnp.arange(count, dtype=jnp.int32))
-        return _finished(equations, ordinates, solutions)
+        return _finished(equations, ordinates, _solutions((equations, ordinates, told)))
     of_group = of_items(_solution, (equations, ordinates, told))
     groups = np.arange(count, dtype=np.int32)
     each = list(each_of(lambda group: jax.block_until_ready(of_group(group)), groups, ready=count > 1))
@@ -106,6 +105,13 @@ def _posed(lit: Lit, method: Method) -> Posed:
 def _solution(asked: tuple[Posed, DiscreteOrdinates, bool], group: Int[Array, ""]) -> Solution:
     equations, ordinates, told = asked
     return solution(equations, ordinates, group, told)
+
+
+@program
+def _solutions(asked: tuple[Posed, DiscreteOrdinates, bool]) -> Solution:
+    equations, ordinates, told = asked
+    groups = jnp.arange(equations.groups.unscattered.shape[0], dtype=jnp.int32)
+    return lax.map(lambda group: solution(equations, ordinates, group, told), groups)
 
 
 @program
