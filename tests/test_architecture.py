@@ -188,7 +188,9 @@ def test_shadow_rays_are_traced_for_sources_only(monkeypatch, bundled):
 
     def ask(scene):
         jax.eval_shape(
-            lambda: trace(scene, camera.bundle(jnp.zeros((4, 2)), jnp.asarray(-5.0)) if bundled else _rays())
+            lambda: trace.__wrapped__(
+                scene, camera.bundle(jnp.zeros((4, 2)), jnp.asarray(-5.0)) if bundled else _rays()
+            )
         )
 
     ask(jaxir.Scene(plate()))

@@ -43,7 +43,15 @@ def unlit(x):
     return scene(x, ())
 
 
+def along_rays(x):
+    lit = unlit(x).on(gray_nodes((MWIR,)))
+    return jaxir.evaluate(
+        lit, jaxir.trace(lit.scene, jaxir.Rays(np.array([[5.0, 0, 0]]), np.array([[-1.0, 0, 0]])))
+    ).sum()
+
+
 QUANTITIES = {
+    "rays": along_rays,
     "render": lambda x: jaxir.render(unlit(x), CAMERA, MWIR, samples=2).radiant_intensity()[0],
     "signature": lambda x: jaxir.signature(unlit(x), [(0, 10)], MWIR, samples=2, shape=(16, 16)).intensity[0, 0],
     "faces": lambda x: jaxir.unoccluded_intensity(

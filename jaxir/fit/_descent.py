@@ -6,8 +6,10 @@ that they have at the start (Marquardt 1963), a step is
     d delta = - sum_k v_k s_k c_k / (s_k^2 + damping),    c_k = u_k . residual,
 
 so damping means the same for all parameters, whatever their units, and one decomposition serves every damping that a
-rejected step asks for. The damping follows the ratio of the fall of the loss to the predicted one as in Nielsen,
-"Damping parameter in Marquardt's method" (IMM-REP-1999-05, DTU, 1999).
+rejected step asks for. Where steps are `even`, d is 1 and the damping at first the loss over the square of `REACH`: far
+from the solution, parameters that do little stay nearly where they are, which columns divided by their norms let go
+astray, as the temperature of a cold face beside hot ones towards 0. The damping follows the ratio of the fall of the
+loss to the predicted one as in Nielsen, "Damping parameter in Marquardt's method" (IMM-REP-1999-05, DTU, 1999).
 
 |c| is the distance to the solution of the linearised problem in units of the residual: where residuals are in standard
 deviations, so is it. Of each c_k counts what one natural step along v_k may change: at a bound, towards which a column
@@ -30,6 +32,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from jaxir._math import matmul
 
 START = 1e-5  # damping at first, in units of the largest squared singular value
+REACH = 0.3  # natural steps at first, where they are even
 FLAT = 1e-3  # of the largest norm of a column: of a parameter that does less, a step would be all there is
 LEAST_RATIO = 1e-3  # of the fall of the loss to the predicted one, for a step to be taken
 NEARLY = 10  # tolerances from the solution within which a step that gains nothing tells rounding, and is the last
@@ -56,23 +59,19 @@ class _State(eqx.Module):
     result: Any
 
 
-def _divisor(size: Float[Array, " p"]) -> Float[Array, " p"]:
-    """Norms of columns, and a share of the largest of those that are less; 1 where there are none."""
-    least = FLAT * jnp.max(size, initial=0)
-    return jnp.where(least > 0, jnp.maximum(size, least), 1)
-
-
 class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     """Damped Gauss-Newton steps; one evaluation each, and a Jacobian where the step was taken.
 
     Attributes:
         atol: distance from the solution at which to stop, in units of the residual.
         rtol: as `atol`, in units of the residual's norm.
+        even: whether natural steps of all parameters are damped alike.
         norm: unused; optimistix asks for one.
     """
 
     atol: Any
     rtol: Any = 0.0
+    even: Any = False
     norm: Callable[[PyTree], Any] = optx.two_norm
 
     def init(
@@ -110,17 +109,17 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             basis = jnp.eye(y.shape[0], dtype=y.dtype)
             jacobian = jax.vmap(lambda t: jax.jvp(lambda y: fn(y, args)[0], (state.trial,), (t,))[1], out_axes=1)(basis)
             size = jnp.where(state.first, jnp.sqrt(jnp.sum(jacobian * jacobian, axis=0)), state.size)
-            left, singular, right = jnp.linalg.svd(jacobian / _divisor(size)[None, :], full_matrices=False)
+            left, singular, right = jnp.linalg.svd(jacobian / self._divisor(size)[None, :], full_matrices=False)
             return loss, left, singular, right, size, matmul(left.T, residual)
 
         held = state.loss, state.left, state.singular, state.right, state.size, state.along
         held_loss, left, singular, right, size, along = lax.cond(taken, linearised, lambda: held)
         shrunk = state.damping * jnp.maximum(1 / 3, 1 - (2 * jnp.minimum(ratio, 1) - 1) ** 3)
         damping = jnp.where(taken, shrunk, state.damping * state.growth)
-        damping = jnp.where(state.first, START * jnp.max(singular, initial=0) ** 2, damping)
+        damping = jnp.where(state.first, self._first_damping(loss, singular), damping)
         square = singular * singular
         damped = square + damping
-        ways = right / _divisor(size)[None, :]
+        ways = right / self._divisor(size)[None, :]
         delta = matmul(-(singular * along / jnp.where(damped > 0, damped, 1)), ways)
         left_over = damping / jnp.where(damped > 0, damped, 1)
         predicted = jnp.sum(along * along * (1 - left_over * left_over))
@@ -165,3 +164,11 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     ) -> tuple[Array, Any, dict[str, Any]]:
         """See `optimistix.AbstractIterativeSolver.postprocess`."""
         return y, aux, {}
+
+    def _divisor(self, size: Float[Array, " p"]) -> Float[Array, " p"]:
+        """Norms of columns, and a share of the largest of those that are less; 1 where there are none."""
+        least = FLAT * jnp.max(size, initial=0)
+        return jnp.where((least > 0) & ~jnp.asarray(self.even), jnp.maximum(size, least), 1)
+
+    def _first_damping(self, loss: Float[Array, ""], singular: Float[Array, " k"]) -> Float[Array, ""]:
+        return jnp.where(self.even, loss / REACH**2, START * jnp.max(singular, initial=0) ** 2)

@@ -6,9 +6,10 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+from jaxir._arrays import COLDEST_AND_HOTTEST
 from jaxir.fit._parameter import Bounds, Factor, Leaf, PartValue
 
-POSITIVE = Bounds(0.0)
+POSITIVE, THERMAL = Bounds(0.0), Bounds(COLDEST_AND_HOTTEST[0])
 JET_UNITS = {
     "exit_temperature": "K",
     "ambient_temperature": "K",
@@ -26,7 +27,7 @@ def part_emissivity(part: str) -> PartValue:
 
 def part_temperature(part: str) -> PartValue:
     """Temperature of a part of the skin, positive."""
-    return PartValue(f"temperature of {part}", _temperature, POSITIVE, "K", part=part)
+    return PartValue(f"temperature of {part}", _temperature, THERMAL, "K", part=part)
 
 
 def jet_parameter(field: str, plume: int = 0) -> Leaf:
@@ -44,7 +45,9 @@ def jet_parameter(field: str, plume: int = 0) -> Leaf:
         raise ValueError(f"jet_parameter: got {field!r}, expected one of {('nozzle', *JET_UNITS)}")
 
     of = _Read(_field, (plume, field, "jet_parameter", "a JetPlume"))
-    return Leaf(named, of, unit="m") if field == "nozzle" else Leaf(named, of, POSITIVE, JET_UNITS[field])
+    if field == "nozzle":
+        return Leaf(named, of, unit="m")
+    return Leaf(named, of, THERMAL if JET_UNITS[field] == "K" else POSITIVE, JET_UNITS[field])
 
 
 def temperature_scale(plume: int = 0) -> Factor:

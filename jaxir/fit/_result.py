@@ -15,6 +15,7 @@ from jaxir.fit._parameter import numbered
 from jaxir.scene import Scene
 
 UNLIKELY = 1e-3  # probability below which a model is said not to explain the data
+DOUBTFUL = 0.05  # and hardly to explain them
 UNDETERMINED = 0.5  # standard deviation in natural steps (half an e-fold) from which a combination counts as unknown
 
 
@@ -280,7 +281,8 @@ class Fit(eqx.Module):
         )
         p = self.probability
         if not p < UNLIKELY:
-            return [said + ("" if math.isnan(p) else f": the data are explained (probability {p:.2g})")]
+            how = "hardly explained" if p < DOUBTFUL else "explained"
+            return [said + ("" if math.isnan(p) else f": the data are {how} (probability {p:.2g})")]
         worst = self.worst()
         lines = [
             f"{said}: THE MODEL DOES NOT EXPLAIN THE DATA (probability {p:.2g}), so that standard deviations are "

@@ -28,7 +28,7 @@ from jaxir.fit._problem import Problem
 from jaxir.fit._profile import reach_of_open_directions
 from jaxir.fit._result import Fit, Uncertainty, column_norms, uncertainty
 from jaxir.fit._surrogate import applies, lead
-from jaxir.fit._walk import linearised, reach
+from jaxir.fit._walk import explains, linearised, reach
 from jaxir.scene import Scene
 
 LEAP = 1.0  # natural steps from where rays were traced beyond which they are not asked where to trace next
@@ -109,7 +109,7 @@ def solve(
         )
     for name, count, least in (("max_steps", max_steps, 1), ("rounds", rounds, 1), ("max_samples", max_samples, 2)):
         require_count(name, count, least)
-    begin = _starts(coordinates, starts)
+    begin = first = _starts(coordinates, starts)
     size = None if solver is None else _effect(problem, begin[0])
     losses = np.zeros(0)
     asked = given = _samples(problem)
@@ -140,6 +140,8 @@ def solve(
         if traced == rounds or asked == _samples(problem):
             break
         begin, problem = end.z[None], retraced(problem, scene, asked)
+        if not explains(problem, float(end.seen.loss)):  # fewer rays may have led to another minimum
+            begin = jnp.concatenate([begin, first])
     seen = end.seen
     loose = known.open_directions()
     reach_ = reach_of_open_directions(problem, end.z, loose) if len(loose) else np.stack([np.asarray(values)] * 2)

@@ -261,13 +261,10 @@ def _candidates(scene: Scene, given: Method) -> list[Method]:
         return [closed, by(DirectSampling(1, 0))]
     except ValueError:
         pass
-    ways = [
-        by(DirectSampling(1, 0)),
-        by(DirectSampling(1, 1)),
-        by(DirectSampling(16, 0), Sobol()),
-        by(DirectSampling(8, 8), Sobol()),
-    ]
-    return ways if scene.skin.brdf.diffuse else [*ways, by(DirectSampling(0, 1))]
+    both = [by(DirectSampling(1, 1)), by(DirectSampling(8, 8), Sobol())]
+    if not scene.skin.brdf.diffuse:  # of one kind those that matter may be so rare that a pilot meets none
+        return both
+    return [by(DirectSampling(1, 0)), both[0], by(DirectSampling(16, 0), Sobol()), both[1]]
 
 
 def cheapest(trials: list[Trial], goal: Goal) -> Choice:

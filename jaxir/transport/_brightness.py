@@ -1,13 +1,13 @@
 """Roughly what shines where in a scene: where rays are worth most, before any is traced, and what no ray will see.
 
-Skin counts with its own emission and what it would reflect of unhidden lights without extent, to all sides alike unless
-it is glossy, a plume with its emission, dimmed by itself as a layer as deep as the plume is wide. Nothing hides
-anything. Estimates may be as rough as this where they place rays; what lies beyond a frame tells the order of an error.
+Skin counts with its own emission and what it would reflect of unhidden lights without extent, or with little as the
+sun's disc has, to all sides alike unless it is glossy, a plume with its emission, dimmed by itself as a layer as deep
+as the plume is wide. Nothing hides anything. Estimates may be as rough as this where they place rays; what lies beyond
+a frame tells the order of an error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -27,11 +27,13 @@ from jaxir.scene.light import AbstractExtendedLight
 
 PROJECTED = 2**16  # points of faces, but at least four of each
 SKY = 3  # directions squared in which lights with an extent are looked for
+LITTLE = 1e-2  # solid angle up to which a light with an extent may glint as one without does [sr]
+NARROW = 2  # points squared of lights that are narrow
 VIEWS = 64  # whose cameras are made by one program, however many of them are wanted
 
 
 class _Gloss(NamedTuple):
-    """Light of sources without extent on skin that reflects more of it to some sides than to others.
+    """Light of sources with no extent, or little, on skin that reflects more of it to some sides than to others.
 
     Attributes:
         brdf: of each face, in its mean over the nodes.
@@ -83,7 +85,8 @@ def _shining(lit: Lit, behind: Float[Array, " node"] | None = None) -> _Shining:
     if skin is not None:
         corners, every = skin.mesh.corners(), jnp.arange(skin.mesh.count, dtype=jnp.int32)
         normal = face_normal(skin.mesh, every)
-        emissivity, beams = _emissivity(lit), _beams(lit, corners.mean(axis=1), normal)
+        emissivity, place = _emissivity(lit), (corners.mean(axis=1), normal)
+        beams = [*_beams(lit, *place), *_narrow_beams(lit, *place)]
         if beams and not skin.brdf.diffuse:
             omega, cosine, light = (jnp.stack(part) for part in zip(*beams, strict=True))
             reflected = lit.nodes.in_band(jnp.where(cosine > 0, (1 - emissivity)[None] * light, 0))
@@ -296,6 +299,32 @@ def _beams(lit: Lit, point: Float[Array, "face 3"], normal: Float[Array, "face 3
     return [_Beam(omega, dot(omega, normal)[:, None], light) for omega, light in each]
 
 
+def _narrow_beams(lit: Lit, point: Float[Array, "face 3"], normal: Float[Array, "face 3"]) -> list[_Beam]:
+    """Of lights with an extent, each by `NARROW`^2 of their points; dark where they look larger than `LITTLE`."""
+    beams = []
+    for source in lit.scene.area_sources:
+        for u in as_float(_middles(NARROW)):
+            beam, density = _glimpse(source, u, point, normal)
+            light = jnp.where(density * LITTLE > 1, beam.light / NARROW**2, 0)
+            beams.append(beam._replace(light=light))
+    return beams
+
+
+def _glimpse(
+    light: AbstractExtendedLight, u: Float[Array, " 2"], point: Float[Array, "face 3"], normal: Float[Array, "face 3"]
+) -> tuple[_Beam, Float[Array, "face 1"]]:
+    """One sample of a light as if it all came from there, and the density of it [face, 1] [sr-1]."""
+    arrival = jax.vmap(light.sample, in_axes=(None, 0, 0))(u, point, normal)
+    density = arrival.pdf[:, None]
+    cosine = dot(arrival.omega_i, normal)[:, None]
+    return _Beam(arrival.omega_i, cosine, safe_divide(light.arriving(arrival.omega_i), density)), density
+
+
+def _middles(count: int) -> np.ndarray:
+    """Those of count^2 equal parts of a square [part, 2]."""
+    return (np.indices((count, count)).reshape(2, -1).T + 0.5) / count
+
+
 def _irradiance(beams: list[_Beam], others: Float[Array, "face node"]) -> Float[Array, "face node"]:
     """Of beams on surfaces, and of `others`."""
     return sum((jnp.maximum(beam.cosine, 0) * beam.light for beam in beams), others)
@@ -305,17 +334,11 @@ def _from_all_around(
     lit: Lit, point: Float[Array, "face 3"], normal: Float[Array, "face 3"]
 ) -> Float[Array, "face node"]:
     """Irradiance of lights with an extent, by the mean over `SKY`^2 of their samples."""
-    place = (np.indices((SKY, SKY)).reshape(2, -1).T + 0.5) / SKY
     total = jnp.zeros((point.shape[0], lit.nodes.count), point.dtype)
     for light in lit.scene.extended_lights:
 
-        def arriving(u: Array, point: Array, normal: Array, light: AbstractExtendedLight = light) -> Array:
-            arrival = light.sample(u, point, normal)
-            cosine = jnp.maximum(dot(arrival.omega_i, normal), 0)
-            return light.arriving(arrival.omega_i) * safe_divide(cosine, arrival.pdf)
+        def add(total: Array, u: Array, light: AbstractExtendedLight = light) -> tuple[Array, None]:
+            return _irradiance([_glimpse(light, u, point, normal)[0]], total), None
 
-        def add(total: Array, u: Array, arriving: Callable[..., Array] = arriving) -> tuple[Array, None]:
-            return total + jax.vmap(arriving, in_axes=(None, 0, 0))(u, point, normal) / SKY**2, None
-
-        total = lax.scan(add, total, as_float(place))[0]
-    return total
+        total = lax.scan(add, total, as_float(_middles(SKY)))[0]
+    return total / SKY**2

@@ -28,6 +28,7 @@ from jaxtyping import Array, Float, Key
 
 from jaxir._arrays import require_shape
 from jaxir._math import at_once, sum_before
+from jaxir._programs import program
 from jaxir.geometry import LIST_CHUNK, Crossings, Rays, crossings
 from jaxir.medium import CellMedium, crossing_sum
 from jaxir.optics import SERIES_BELOW, across_layer, phi1, phi2
@@ -268,6 +269,7 @@ def _line_spread(u: Array) -> Array:
     return jnp.where(u < SERIES_BELOW, small**3 * series, thick)
 
 
+@program
 def estimate(lit: Lit, paths: Paths, estimator: AbstractPathEstimator, key: Key[Array, ""]) -> Float[Array, "ray node"]:
     """As `evaluate`, with the radiance of a gridded plume along each ray by an estimator.
 

@@ -13,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Key
 
 from jaxir._math import dot, in_kernels
+from jaxir._programs import program
 from jaxir.geometry import Bundle, Hit, Rays, no_hit
 from jaxir.geometry.search import closest_hit
 from jaxir.scene import Scene
@@ -49,6 +50,7 @@ class _Drawn(NamedTuple):
     bounce: Array
 
 
+@program
 def trace(scene: Scene, rays: Rays | Bundle, method: Method | None = None, key: Key[Array, ""] | None = None) -> Paths:
     """Follow rays to the first face they meet, from there to every source, and on as the method asks.
 

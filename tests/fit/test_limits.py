@@ -1,5 +1,7 @@
 """What a fit says of its limits: combinations not determined, noise of its rays, drift, solvers that fail."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,6 +25,7 @@ from jaxir.fit import (
     measured_image,
     measured_intensity,
     part_emissivity,
+    part_temperature,
     particle_loading,
     prepare,
     sensitivity,
@@ -35,7 +38,7 @@ from jaxir.transport import trace
 from jaxir.transport.evaluation import _scattered
 from tests.fit.lamps import plate_intensity
 from tests.fit.slabs import DEPTH, PIXEL, TEMPERATURE, looked_at, slab
-from tests.scenes import plate
+from tests.scenes import box_mesh, plate
 
 THREE = (jaxir.SWIR, jaxir.MWIR, jaxir.LWIR)
 
@@ -211,6 +214,44 @@ def test_a_parameter_that_hardly_acts_at_the_start_stops_no_other(start):
     found = solve(prepare(slab(*start), [TEMPERATURE, DEPTH], [looked_at(slab(1000.0, 10.0), bands)]))
     assert bool(found.converged)
     assert float(found.uncertainty.value[0]) * start[0] == pytest.approx(1000.0, abs=0.5)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    """A cube of six temperatures from all sides: sides by name, a scene of temperatures, the true ones, a measurement.
+
+    In each band the hottest sides hide the coldest: walked by columns of one size, these get lost.
+    """
+    mesh = box_mesh((1.0, 1.0, 1.0))
+    part = np.unique(np.round(4 * np.asarray(mesh.area_vectors())), axis=0, return_inverse=True)[1].astype(np.int32)
+    names = [f"side {k}" for k in range(6)]
+    views = [(azimuth, elevation) for azimuth in (20, 110, 200, 290) for elevation in (-35, 25)]
+    brdf = jaxir.Lambert(np.array([0.9, 0.8, 0.7, 0.6, 0.5, 0.4])[part])
+
+    def scene(temperature):
+        return jaxir.Scene(jaxir.Skin(mesh, np.broadcast_to(temperature, 6)[part].astype(float), brdf, part, names))
+
+    truth = np.array([350.0, 450, 550, 500, 400, 300])
+    exact = np.stack([jaxir.unoccluded_intensity(scene(truth), *view, THREE) for view in views])
+    noise = np.random.default_rng(1).standard_normal(exact.shape)
+    measured = measured_intensity(scene(truth), views, THREE, exact * (1 + 0.01 * noise), 0.01 * exact, shape=(16, 16))
+    return names, scene, truth, measured
+
+
+@pytest.mark.parametrize("start", [250.0, 420.0, 900.0])
+def test_cold_sides_are_found_beside_hot_ones(cube, start):
+    names, scene, truth, measured = cube
+    found = fit(scene(start), [part_temperature(name) for name in names], [measured], key=jax.random.key(1))
+    assert found.probability > 1e-2
+    assert (np.abs(np.asarray(found.uncertainty.value) - truth) < 4 * found.standard_deviation).all()
+
+
+def test_data_that_nothing_explains_end_where_values_are_numbers(cube):
+    """Negative ones: sides grow as cold as temperatures may be."""
+    names, scene, truth, measured = cube
+    negative = dataclasses.replace(measured, value=-measured.value)
+    lost = fit(scene(420.0), [part_temperature(name) for name in names], [negative])
+    assert np.isfinite(lost.uncertainty.value).all() and "DOES NOT EXPLAIN" in str(lost)
 
 
 @pytest.mark.parametrize(

@@ -296,6 +296,22 @@ def test_a_glint_that_a_facet_sends_is_found():
     np.testing.assert_allclose(table.intensity, exact, rtol=0.02)
 
 
+def test_a_glint_of_the_suns_disc_is_found_to_the_tolerance():
+    """Where all directions are drawn from the brdf next to none of a few rays meets the disc, and none varies."""
+    ball, half = trimesh.creation.icosphere(4), 4.65e-3
+    away = np.array([np.cos(2.44), np.sin(2.44), 0.0])
+    mesh = jaxir.Mesh(np.array(ball.vertices, np.float32), ball.faces)
+    skin = jaxir.Skin(mesh, 200.0, jaxir.RoughConductor(1.5, 7.0, 0.05))
+    point = jaxir.Scene(skin, sources=jaxir.ParallelSource(-away, 100.0))
+    exact = float(jaxir.unoccluded_intensity(point, 0.0, 0.0, jaxir.MWIR)[0])
+    disc = jaxir.SphereSource(1e4 * away, 1e4 * np.sin(half), 100.0 / (np.pi * np.sin(half) ** 2))
+    scene, camera = jaxir.Scene(skin, sources=disc), jaxir.orthographic_camera(0.0, 0.0, 2.2 / 48, (48, 48))
+    table = jaxir.signature(scene, [(0.0, 0.0)], jaxir.MWIR, rtol=0.03)
+    image = jaxir.render(scene, camera, jaxir.MWIR, rtol=0.03)
+    for found in (table.intensity[0, 0], image.radiant_intensity()[0]):
+        np.testing.assert_allclose(found, exact, rtol=0.09)
+
+
 def test_signature_from_a_range_sees_what_an_image_from_there_sees():
     scene = box_of_sides()
     table = jaxir.signature(scene, VIEWS, BANDS, distance=20.0, shape=(96, 96), samples=8)

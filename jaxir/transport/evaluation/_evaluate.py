@@ -21,6 +21,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxir._math import in_kernels
+from jaxir._programs import program
 from jaxir.scene import Lit
 from jaxir.transport._paths import Paths, Segment
 from jaxir.transport._through import Through
@@ -66,7 +67,11 @@ def evaluate(lit: Lit, paths: Paths) -> Float[Array, "ray node"]:
 
 def evaluate_orders(lit: Lit, paths: Paths) -> Orders:
     """`evaluate`, with what the last two orders of scattering brought [ray, node]."""
-    lit = with_scattered(lit, paths.method)
+    return _orders(with_scattered(lit, paths.method), paths)
+
+
+@program
+def _orders(lit: Lit, paths: Paths) -> Orders:
     found = _along_paths(lit, paths)
     return Orders(lit.through_air(found.radiance), lit.dimmed_by_air(found.last), lit.dimmed_by_air(found.before))
 
