@@ -63,6 +63,26 @@ def test_a_sequence_is_a_strip_or_a_film():
         plot.film(frames, seconds=0)
 
 
+def test_images_of_different_pixels_are_as_large_as_they_are():
+    fine, wide = image((1.0, 5.0)), image((2.0, 6.0))
+    wide = dataclasses.replace(wide, camera=jaxir.orthographic_camera(0.0, 0.0, 2.0, (4, 6)))
+    for figure in (plot.film_strip({"wide": wide, "fine": fine}), plot.radiance_panels({"wide": wide, "fine": fine})):
+        shown = [axis for axis in figure.axes if axis.images and axis.get_visible()]
+        assert sorted({(*axis.get_xlim(), *axis.get_ylim()) for axis in shown}) == [(-6, 6, -4, 4), (-1.5, 1.5, -1, 1)]
+
+
+def test_frames_of_a_film_say_how_large_they_are(monkeypatch):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    drawn, draw = [], FigureCanvasAgg.draw
+    monkeypatch.setattr(
+        FigureCanvasAgg, "draw", lambda self: (drawn.append(self.figure.axes[0].get_xlim()), draw(self))[1]
+    )
+    wide = dataclasses.replace(image((2.0, 6.0)), camera=jaxir.orthographic_camera(0.0, 0.0, 2.0, (4, 6)))
+    plot.film({"fine": image((1.0, 5.0)), "wide": wide})
+    assert drawn[-2:] == [(-1.5, 1.5), (-6.0, 6.0)]
+
+
 def signature(azimuth, elevation, value):
     azimuth, elevation, value = (jnp.asarray(a, jnp.float32) for a in (azimuth, elevation, value))
     return jaxir.Signature(azimuth, elevation, value[:, None], 0 * value[:, None], ("MWIR",), 0 * value[:, None])

@@ -91,7 +91,7 @@ def measured_intensity(
     """
     nodes = scene_nodes(scene, bands)
     aspect = as_float(views, "views")
-    if aspect.ndim != 2 or aspect.shape[1] != 2:
+    if aspect.ndim != 2 or aspect.shape[1] != 2 or aspect.shape[0] == 0:
         raise ValueError(f"views: got shape {aspect.shape}, expected (view, 2): azimuth and elevation in degrees")
     nodes = enforce(nodes, [*scene.checks_on(nodes), *view_checks(aspect)])
     cameras = graded_cameras(on_nodes(scene, nodes), aspect, shape, as_float(distance, "distance"))

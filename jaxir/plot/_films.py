@@ -10,7 +10,17 @@ import numpy as np
 
 from jaxir.imaging import Image
 from jaxir.plot._figure import figure_of, seen_from
-from jaxir.plot._images import QUANTITIES, marked, radiance_panels, require_choice, shared_norms, show, values_of
+from jaxir.plot._images import (
+    QUANTITIES,
+    extent_of,
+    marked,
+    one_extent,
+    radiance_panels,
+    require_choice,
+    shared_norms,
+    show,
+    values_of,
+)
 
 ACROSS = 4  # frames of a strip side by side
 MOST = 12  # frames of a strip, evenly taken; a film has all
@@ -42,7 +52,8 @@ def film_strip(images: Mapping[str, Image], *, quantity: str = "radiance", scale
     high = 3.6 * first.camera.shape[0] / first.camera.shape[1]
     figure = figure_of(3.6 * across + 0.6, (high + 0.45) * lines * bands + 0.9 * bands)
     figure.set_layout_engine("compressed")
-    axes = figure.subplots(lines * bands, across, squeeze=False, sharex=True, sharey=True)
+    alike = one_extent(images.values())
+    axes = figure.subplots(lines * bands, across, squeeze=False, sharex=alike, sharey=alike)
     for axis in axes.ravel():
         axis.set_visible(False)
     for index, band in reversed(list(enumerate(first.bands))):  # bars stand below one another, the last first
@@ -96,6 +107,7 @@ def film(
     for name, image in images.items():
         for index, (drawn, norm) in enumerate(zip(shown, norms, strict=True)):
             drawn.set_data(np.maximum(values[name][:, :, index], norm.vmin))
+            drawn.set_extent(extent_of(image))
             drawn.axes.set_title(f"{image.bands[index]}, {name}\n{seen_from(image.camera)}", fontsize="small")
         canvas.draw()
         figure.set_layout_engine("none")  # frames that do not move

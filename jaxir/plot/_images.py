@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -61,11 +61,12 @@ def radiance_panels(
     highest = max(image.camera.shape[0] / image.camera.shape[1] for image in images.values())
     views = [seen_from(image.camera) for image in images.values()]
     together = len(images) > 1 and len(set(views)) == 1  # said once
+    alike = together and one_extent(images.values())
     wide, head = 4.1 if limits == "shared" else 3.5, 0.35 if together else 0.5  # of a panel without its bar
     high = min(wide * highest, 4.8) + head
     figure = figure_of(4.8 * len(bands) + 0.4, (high + 0.15) * len(images) + (1.2 if limits == "shared" else 1.1))
     figure.set_layout_engine("constrained", h_pad=0.03)
-    axes = figure.subplots(len(images), len(bands), squeeze=False, sharex=together, sharey=together)
+    axes = figure.subplots(len(images), len(bands), squeeze=False, sharex=alike, sharey=alike)
     values = [values_of(image, quantity) for image in images.values()]
     norms = shared_norms(values, quantity, scale, limits)
     for column, band in enumerate(bands):
@@ -152,11 +153,21 @@ def _temperatures(image: Image) -> np.ndarray:
 
 def show(axis: Any, image: Image, values: np.ndarray, norm: Any) -> Any:
     """Draw values [row, column], those below the scale as its lowest; a scale about 0 has two colours."""
-    rows, columns = image.camera.shape
-    x, y = (0.5 * n * float(p) for n, p in zip((columns, rows), image.camera.pixel, strict=True))
     colours = "RdBu_r" if norm.vmin == -norm.vmax else "inferno"
     held = np.maximum(values, norm.vmin)
-    return axis.imshow(held, norm=norm, cmap=colours, extent=(-x, x, -y, y), aspect="equal")
+    return axis.imshow(held, norm=norm, cmap=colours, extent=extent_of(image), aspect="equal")
+
+
+def extent_of(image: Image) -> tuple[float, float, float, float]:
+    """Left, right, lowest and highest metres of an image."""
+    rows, columns = image.camera.shape
+    x, y = (0.5 * n * float(p) for n, p in zip((columns, rows), image.camera.pixel, strict=True))
+    return -x, x, -y, y
+
+
+def one_extent(images: Iterable[Image]) -> bool:
+    """Whether images are equally large."""
+    return len({extent_of(image) for image in images}) == 1
 
 
 def shared_norms(values: Sequence[np.ndarray], quantity: str, scale: str, limits: Any) -> list[Any]:

@@ -20,10 +20,10 @@ def polar_signature(table: Signature, *, scale: str = "log") -> Any:
     """Radiant intensity over the angle of a signature, one curve per band with two standard errors around it.
 
     The angle is the azimuth, with a curve for every elevation, the nose on top and the left wing on the left, as seen
-    from above; where the table has one azimuth only, it is the elevation, the nose on the right. Where the intensity is
-    negative, a contrast darker than its background, the curve is dotted. Of more than four elevations every band has a
-    panel. So it has of a table of several states (`Signature.axes`), with a curve for each state at the elevation
-    nearest to 0.
+    from above; where the table has one azimuth only, it is the elevation, 0 on the right: the nose at azimuth 0, the
+    tail at 180. Where the intensity is negative, a contrast darker than its background, the curve is dotted. Of more
+    than four elevations every band has a panel. So it has of a table of several states (`Signature.axes`), with a curve
+    for each state at the elevation nearest to 0.
 
     Args:
         table: the signature.
@@ -45,6 +45,7 @@ def polar_signature(table: Signature, *, scale: str = "log") -> Any:
     if table.state is None and len(cuts) <= len(STYLES):
         figure = figure_of(6.4, 7.2)
         axes = [figure.subplots(subplot_kw={"projection": "polar"})]
+        over += f" at azimuth {cuts[0]:g}°" if upright else ""
         curves = [
             (0, k, other == cut, band if len(cuts) == 1 else f"{band}, {name} {cut:g}°", f"C{k % 10}", style)
             for k, band in enumerate(table.bands)

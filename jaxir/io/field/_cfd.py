@@ -250,6 +250,8 @@ def _report(
     high: np.ndarray,
 ) -> FieldReport:
     """Compare grid and source at the centres of the source's cells."""
+    if (solid := volume > 0).any():  # faces may lie among the cells
+        truth, volume, centre = truth[solid], volume[solid], centre[solid]
     spacing = (high - low) / value.shape
     index = np.floor((centre - low) / spacing).astype(int)
     within = ((index >= 0) & (index < value.shape)).all(axis=1)

@@ -12,10 +12,11 @@ import numpy as np
 from jaxir.io._array_files import array_names, load_arrays
 from jaxir.io._files import csv_rows, largest_number, to_number
 
-_MAY_BE_FACE = [  # letters of names
-    *("face", "faces", "faceid", "faceindex", "facenumber", "faceno", "iface"),
-    *("cell", "cellid", "cellindex", "element", "elementid", "triangle", "triangleid", "id", "index"),
-]
+_NUMBER = "id|idx|index|no|nr|num|number"
+_MAY_BE_FACE = re.compile(  # letters of names, none where a table begins with numbers of its rows
+    rf"({_NUMBER}|i|n)?(face|cell|elem|element|tri|triangle|facet|panel|polygon|poly|node|row)s?({_NUMBER})?"
+    rf"|{_NUMBER}|i|n|unnamed|"
+)
 
 
 def load_array(path: str | os.PathLike, array: str | None = None) -> np.ndarray:
@@ -129,7 +130,7 @@ def _from_csv(file: Path, count: int, column: str) -> np.ndarray:
 def _require_no_other(where: str, names: Sequence[str]) -> None:
     """No name that may mean the index of a face and would not be read."""
     for name in names:
-        if "face" not in names and re.sub("[^a-z]", "", name.lower()) in _MAY_BE_FACE:
+        if "face" not in names and _MAY_BE_FACE.fullmatch(re.sub("[^a-z]", "", name.lower())):
             raise ValueError(f"{where}: got {name!r}, expected 'face' where it is the index of a face from 0")
 
 

@@ -129,6 +129,11 @@ def _triangles(pyvista: ModuleType, file: Path, data: Any, field: str) -> Any:
         raise ValueError(f"{file}: holds no faces")
     if not isinstance(data, pyvista.PolyData):
         data = data.extract_surface(algorithm="dataset_surface")
+    if first := data.n_verts + data.n_lines:  # cells of these come before the faces
+        faces = data.extract_cells(np.arange(first, data.n_cells))
+        data = faces.extract_surface(algorithm="dataset_surface")
+    if data.n_cells == 0:
+        raise ValueError(f"{file}: holds no faces")
     value = finite_scalar(file, data, field)
     where = "cell_data" if field in data.cell_data else "point_data"
     thin = data.copy(deep=True)

@@ -10,7 +10,7 @@ import csv
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -232,10 +232,10 @@ def save_signature(
     named = {"": signature.intensity, "standard_error_": signature.standard_error}
     named |= {f"{name}_": values for name, values in others.items()}
     if signature.parts is not None:
-        for index, name in enumerate(signature.components):
-            named[re.sub(r"\W+", "_", name) + "_"] = signature.parts[:, index]
+        for index, name in enumerate(_in_letters(signature.components)):
+            named[f"{name}_"] = signature.parts[:, index]
             if signature.parts_error is not None:
-                named[re.sub(r"\W+", "_", name) + "_standard_error_"] = signature.parts_error[:, index]
+                named[f"{name}_standard_error_"] = signature.parts_error[:, index]
     columns = [f"{band}_{what}W_per_sr" for band in signature.bands for what in named]
     if twice := [name for name in columns if columns.count(name) > 1]:
         raise ValueError(f"bands: got names {signature.bands} that make the column {twice[0]} twice, expected others")
@@ -251,6 +251,19 @@ def save_signature(
         for own, row in zip(state.tolist(), numbers.tolist(), strict=True):
             first = (names[value] for names, value in zip(shown, own, strict=True))
             writer.writerow([*first, *(f"{number:.9g}" for number in row)])
+
+
+def _in_letters(names: Sequence[str]) -> list[str]:
+    """Names in letters, digits and _, numbered from the second on where they are alike in these."""
+    found: list[str] = []
+    for name in names:
+        plain = own = re.sub(r"\W+", "_", name)
+        count = 1
+        while own in found:
+            count += 1
+            own = f"{plain}_{count}"
+        found.append(own)
+    return found
 
 
 def _one_line(value: Any) -> str:

@@ -55,6 +55,15 @@ def test_wrong_csv(text, message, tmp_path):
         load_face_values(tmp_path / "t.csv", 3)
 
 
+@pytest.mark.parametrize("name", ["id", "cell_number", "tri_id", "elem", "facet", "idx", "N", "Row", "polygon", ""])
+def test_a_column_that_may_number_faces_is_not_passed_over(name, tmp_path):
+    (tmp_path / "t.csv").write_text(f"{name},temperature\n1,310\n0,300\n2,320\n")
+    with pytest.raises(ValueError, match=f"t.csv:1: got '{name}', expected 'face' where it is the index"):
+        load_face_values(tmp_path / "t.csv", 3)
+    (tmp_path / "t.csv").write_text("x,normal,unit,temperature\n1,2,3,310\n0,2,3,300\n2,2,3,320\n")
+    np.testing.assert_array_equal(load_face_values(tmp_path / "t.csv", 3), [310, 300, 320])
+
+
 def test_wrong_npz(tmp_path):
     good = write_npz(tmp_path / "good.npz", temperature=np.ones(3), words=np.array(["a"]), bad=np.array([1.0, np.nan]))
     (tmp_path / "cut.npz").write_bytes(good.read_bytes()[:200])

@@ -18,6 +18,10 @@ def files(tmp_path_factory):
     sphere.cell_data["flux"] = np.zeros((sphere.n_cells, 3))
     sphere.save(folder / "s.vtp")
     sphere.cast_to_unstructured_grid().save(folder / "s.vtu")
+    edges = pyvista.PolyData(sphere.points, faces=sphere.faces, lines=[2, 0, 5, 3, 7, 8, 9], verts=[1, 4])
+    edges.point_data["T"], edges.cell_data["T_cell"] = sphere.point_data["T"], np.r_[[9e3] * 3, sphere["T_cell"]]
+    edges.save(folder / "edges.vtp")
+    edges.cast_to_unstructured_grid().save(folder / "edges.vtu")
     pyvista.MultiBlock([sphere.clip("x"), sphere.clip("x", invert=False)]).save(folder / "s.vtm")
     sphere.point_data["T"][7] = np.nan
     sphere.save(folder / "nan.vtp")
@@ -31,7 +35,11 @@ def mesh():
     return jaxir.Mesh(np.asarray(coarse.points), coarse.faces.reshape(-1, 4)[:, 1:])
 
 
-@pytest.mark.parametrize(("name", "field"), [("s.vtp", "T"), ("s.vtu", "T"), ("s.vtm", "T"), ("s.vtp", "T_cell")])
+NAMES = [("s.vtp", "T"), ("s.vtu", "T"), ("s.vtm", "T"), ("s.vtp", "T_cell")]
+NAMES += [(f"edges.{end}", field) for end in ("vtp", "vtu") for field in ("T", "T_cell")]  # with lines and points
+
+
+@pytest.mark.parametrize(("name", "field"), NAMES)
 def test_a_linear_field_comes_through(name, field, files, mesh):
     held = load_surface_field(files / name, mesh, field, unit="mm")
     x = np.asarray(mesh.corners()).mean(1)[:, 0]

@@ -85,6 +85,10 @@ def test_components_are_written_by_name(image, tmp_path):
     assert second.split(",")[4:] == ["1.5", "0.5"]
     with xarray.open_dataset(tmp_path / "table.nc", engine="scipy") as data:
         np.testing.assert_array_equal(data.component_intensity, parts)
+    save_signature(tmp_path / "alike.csv", dataclasses.replace(table, components=("skin, a b", "skin, a-b")))
+    header, _, second = (tmp_path / "alike.csv").read_text().splitlines()
+    assert header.split(",")[4:] == ["LWIR_skin_a_b_W_per_sr", "LWIR_skin_a_b_2_W_per_sr"]
+    assert second.split(",")[4:] == ["1.5", "0.5"]
 
 
 def test_conditions_are_attributes_of_netcdf_or_refused(image, tmp_path):
