@@ -6,6 +6,8 @@ of 299 K is the slope of Planck's law.
 
 from __future__ import annotations
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -55,6 +57,25 @@ def across(scene: Scene) -> Rays:
         return Rays(matmul(origin, frame), matmul(as_float(direction), frame))
 
     return from_outside(scene, joined([of(plume) for plume in scene.plumes]))
+
+
+def between(scene: Scene) -> list[Rays]:
+    """`ACROSS`^2 rays through each two plumes, from places in one to like places in the other: one hides the other."""
+    share = as_float(draws()[: ACROSS**2, 1:4])
+
+    def places(plume: AbstractPlume) -> Float[Array, "ray 3"]:
+        low, high = plume.extent().min(axis=0), plume.extent().max(axis=0)
+        return low[None] + share * (high - low)[None]
+
+    def of(one: AbstractPlume, other: AbstractPlume) -> Rays:
+        origin = places(one)
+        way = places(other) - origin
+        length = jnp.sqrt(jnp.sum(way**2, axis=1, keepdims=True))
+        upright = jnp.broadcast_to(as_float(np.array([0.0, 0.0, 1.0])), way.shape)
+        return from_outside(scene, Rays(origin, jnp.where(length > 0, way / jnp.where(length > 0, length, 1), upright)))
+
+    both_ways = itertools.permutations(scene.plumes, 2)
+    return [of(*pair) for pair in both_ways]
 
 
 def through(scene: Scene, draws: Float[Array, "ray 6"]) -> Rays:

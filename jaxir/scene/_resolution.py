@@ -42,6 +42,7 @@ from jaxir.scene._probes import (
     RAYS,
     across,
     behind,
+    between,
     brought,
     draws,
     from_outside,
@@ -306,7 +307,7 @@ def _probed(scene: Scene, lit: Lit) -> Float[Array, "2 result band"]:
         seen.append(sky)
     less = [_each_less(warm, sky)] if around and scene.skin is not None else []
     if lit.medium is not None:
-        even, hot = across(scene), from_outside(scene, through(scene, as_float(draws())))
+        even, hot = joined([across(scene), *between(scene)]), from_outside(scene, through(scene, as_float(draws())))
         rays = joined([even, hot])
         far = jnp.full(rays.count, jnp.inf, dark.dtype)
         unlit = jnp.broadcast_to(dark, (rays.count, nodes.count))
