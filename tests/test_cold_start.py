@@ -45,9 +45,8 @@ def unlit(x):
 
 def along_rays(x):
     lit = unlit(x).on(gray_nodes((MWIR,)))
-    return jaxir.evaluate(
-        lit, jaxir.trace(lit.scene, jaxir.Rays(np.array([[5.0, 0, 0]]), np.array([[-1.0, 0, 0]])))
-    ).sum()
+    rays = jaxir.Rays(jnp.array([[-5.0, 0.0, 0.0]]), jnp.array([[1.0, 0.0, 0.0]]))
+    return jaxir.evaluate(lit, jaxir.trace(lit.scene, rays)).sum()
 
 
 QUANTITIES = {
