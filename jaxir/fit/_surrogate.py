@@ -126,7 +126,7 @@ def lead(problem: Problem, starts: Array, max_steps: int) -> tuple[Reached, Fini
 
 def _walked_on(problem: Problem, end: Solution, max_steps: int) -> Solution:
     """From where fewer rays have misled, by all of them."""
-    walked = walk(problem, end.z[None], None, None, max_steps, jnp.array([True, False]), jnp.array([False, False]))
+    walked = walk(problem, end.z[None], None, None, max_steps, jnp.array([True, False]), jnp.array(False))
     return stay(problem, walked.end[0], end.steps + int(walked.steps[0]), pick(walked.result, 0))
 
 

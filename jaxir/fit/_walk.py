@@ -135,12 +135,11 @@ def best_way(
         max_steps: likewise.
         flat: likewise.
     """
-    ordinary, asked, even = [False] * len(flat), [False] * len(flat), [True] * len(flat)
-    ways = [(flat, asked), (ordinary, asked), *([(flat, even)] if solver is None else [])]
+    ways = [(flat, False), ([False] * len(flat), False), *([(flat, True)] if solver is None else [])]
     least = 1 if np.isinf(float(problem.robust)) else 2
     every: list[Reached] = []
-    for way in ways:
-        walked = walk(problem, starts, size, solver, max_steps, *(jnp.array(each, dtype=bool) for each in way))
+    for each, even in ways:
+        walked = walk(problem, starts, size, solver, max_steps, jnp.array(each), jnp.array(even))
         every.append(best(judge, starts, walked))
         if len(every) >= least and any(explains(judge, float(reached.seen.loss)) for reached in every):
             break
@@ -177,7 +176,7 @@ def walk(
     solver: Any,
     max_steps: int,
     flat: Bool[Array, " walk"],
-    even: Bool[Array, " walk"],
+    even: Bool[Array, ""],
 ) -> Walked:
     """Solve from every start.
 
@@ -191,11 +190,10 @@ def walk(
         solver: of optimistix; `LevenbergMarquardt` for None.
         max_steps: of each walk.
         flat: one walk after the other, whether on logarithmic residuals [walk].
-        even: whether by even steps, of our own solver [walk].
+        even: whether by even steps, of our own solver.
     """
 
-    def one_walk(begin: Array, how: tuple[Array, Array]) -> tuple[Array, Walked]:
-        near, alike = how
+    def one_walk(begin: Array, near: Array) -> tuple[Array, Walked]:
         unit = jnp.ones_like(begin) if size is None else size
 
         def residual(w: Array) -> Array:
@@ -205,7 +203,7 @@ def walk(
         function, chosen = with_jacobian(residual) if solver is None else residual, solver
         if solver is None:
             rounding = jnp.sqrt(8 * jnp.finfo(begin.dtype).eps).astype(begin.dtype)
-            chosen = LevenbergMarquardt(as_float(jnp.where(near, NEAR, THERE)), rounding, even=alike)
+            chosen = LevenbergMarquardt(as_float(jnp.where(near, NEAR, THERE)), rounding, even=even)
         found: optx.Solution = optx.least_squares(
             lambda w, _: function(w), chosen, jnp.zeros_like(begin), max_steps=max_steps, throw=False
         )
@@ -214,7 +212,7 @@ def walk(
         return end, Walked(end, found.stats["num_steps"], found.result, found.state.size if solver is None else unit)
 
     def one(start: Array) -> Walked:
-        walks = lax.scan(one_walk, start, (flat, even))[1]
+        walks = lax.scan(one_walk, start, flat)[1]
         last = jax.tree.map(lambda leaf: leaf[-1], walks)
         return last._replace(steps=jnp.sum(walks.steps), size=walks.size[0])
 
