@@ -259,7 +259,8 @@ def _values(inputs: T) -> T:
 
 
 def _is_module(part: Any) -> bool:
-    return isinstance(part, eqx.Module)
+    """Whether numbers of a part are values; those of solvers, of other packages, are counts and settings."""
+    return isinstance(part, eqx.Module) and type(part).__module__.split(".")[0] not in _VERSIONED
 
 
 def _is_loose(leaf: Any) -> bool:

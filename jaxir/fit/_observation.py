@@ -7,6 +7,8 @@ a few slices at a time: the intermediate results of one step then stay in the pr
 
 from __future__ import annotations
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxir._arrays import known, placed
+from jaxir._arrays import as_float, known, placed
 from jaxir._math import einsum
 from jaxir._programs import program
 from jaxir.fit._drift import density_ratio, effective_share
@@ -22,11 +24,12 @@ from jaxir.fit._measurement import Measurement
 from jaxir.geometry import Camera, Crossings, Rays, hilbert_index, pixel_samples, tile_rays
 from jaxir.geometry.search import MARGIN, closest_hit
 from jaxir.optics.spectrum import Nodes
-from jaxir.scene import Lit, Scene
-from jaxir.transport import Paths, evaluate, store_route, trace
+from jaxir.scene import Lit, Scene, on_nodes
+from jaxir.transport import Paths, evaluate, graded_cameras, store_route, trace
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 BLOCKS = 8  # of an image's pixels, whose sampling errors are independent
+ROOMY = 2.0  # area of an image over what holds the scene, beyond which too few rays meet it
 SLICE = 64  # rays in a slice, at most
 CURVE = 12  # bits of the raster, along the longer side of an image, on which rays are put in order
 ROUND = 8  # slices of a chunk are a multiple of it, of many an eighth, so that a few rays more compile nothing anew
@@ -108,16 +111,20 @@ class Observation(eqx.Module):
         return effective_share(jnp.concatenate([ratio.reshape(-1) for ratio in ratios]))
 
     def holds(self, scene: Scene) -> bool:
-        """Whether the images and the starts of the rays still hold the outline of another scene."""
+        """Whether the images and the starts of the rays still hold the outline of another scene, and no more."""
         return not scene.plumes or bool(_held(self, scene))
 
 
 @program
 def _held(observation: Observation, scene: Scene) -> Bool[Array, ""]:
-    cameras = _widened(observation.measurement, scene)
-    same = (cameras.pixel <= observation.measurement.cameras.pixel).all()
-    reach = [jax.vmap(s.radius)(cameras.target) for s in (scene, observation.scene)]
-    return same & (reach[0] <= MARGIN * reach[1]).all()  # rays start so far outside
+    given = observation.measurement.cameras
+    reach = [jax.vmap(s.radius)(given.target) for s in (scene, observation.scene)]
+    starts = (reach[0] <= MARGIN * reach[1]).all()  # rays start so far outside
+    if observation.measurement.per_pixel:
+        return starts
+    wanted = _pixels_wanted(given, scene)
+    large = jnp.prod(given.pixel, axis=1) <= ROOMY * jnp.prod(wanted, axis=1)
+    return starts & (wanted <= given.pixel).all() & large.all()
 
 
 def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving: bool) -> Observation:
@@ -178,14 +185,32 @@ def _widened(measurement: Measurement, scene: Scene) -> Camera:
     cameras = measurement.cameras
     if measurement.per_pixel:
         return cameras
+    return eqx.tree_at(lambda c: c.pixel, cameras, jnp.maximum(cameras.pixel, _pixels_wanted(cameras, scene)))
+
+
+def _pixels_wanted(cameras: Camera, scene: Scene) -> Float[Array, "view 2"]:
+    """How large pixels must be at least for images that hold a scene."""
     extent = scene.extent()
 
-    def widen(camera: Camera) -> Array:
+    def wanted(camera: Camera) -> Array:
         half = jnp.max(jnp.abs(camera.project(extent)), axis=0)
         rows, columns = camera.shape
-        return jnp.maximum(camera.pixel, 2 * half / jnp.asarray([columns, rows], half.dtype))
+        return 2 * half / jnp.asarray([columns, rows], half.dtype)
 
-    return eqx.tree_at(lambda c: c.pixel, cameras, jax.vmap(widen)(cameras))
+    return jax.vmap(wanted)(cameras)
+
+
+def reframed(measurement: Measurement, scene: Scene) -> Measurement:
+    """The same with images of intensities made for another scene, whose jets a fit has moved."""
+    if measurement.per_pixel or not scene.plumes:
+        return measurement
+    cameras = jax.tree.map(np.asarray, measurement.cameras)
+    x, y, z = np.moveaxis(cameras.frame[:, 2].astype(np.float64), 1, 0)
+    aspect = np.rad2deg(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1))
+    with np.errstate(divide="ignore"):
+        distance = 1 / cameras.inverse_range[0]
+    made = graded_cameras(on_nodes(scene, measurement.nodes), as_float(aspect), cameras.shape, as_float(distance))
+    return dataclasses.replace(measurement, cameras=made)
 
 
 class ViewRays(eqx.Module):

@@ -15,7 +15,7 @@ from jaxir._arrays import as_float, enforce, key_or_default
 from jaxir._fields import require_part
 from jaxir._programs import program
 from jaxir.fit._measurement import Measurement
-from jaxir.fit._observation import Observation, observe
+from jaxir.fit._observation import Observation, observe, reframed
 from jaxir.fit._parameter import AbstractParameter, Coordinates
 from jaxir.fit._prior import AbstractPrior
 from jaxir.fit._problem import Problem
@@ -61,7 +61,7 @@ def prepare(
 
 
 def retraced(problem: Problem, scene: Scene, samples: Sequence[int] | None = None) -> Problem:
-    """The same problem with the rays traced anew in another scene, with the same random key.
+    """The same problem with the rays traced anew in another scene, in images made for it, with the same random key.
 
     Args:
         problem: what to solve.
@@ -69,7 +69,7 @@ def retraced(problem: Problem, scene: Scene, samples: Sequence[int] | None = Non
         samples: rays per pixel of each measurement; as before by default.
     """
     coordinates, key = problem.coordinates, problem.key
-    measured = [o.measurement for o in problem.observations]
+    measured = [reframed(o.measurement, scene) for o in problem.observations]
     if samples is not None:
         measured = [dataclasses.replace(m, samples=n) for m, n in zip(measured, samples, strict=True)]
     observed, surrogate = _observed(scene, coordinates, measured, key)

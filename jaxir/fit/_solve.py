@@ -135,12 +135,15 @@ def solve(
         known = uncertainty(coordinates.labels, coordinates.units, values, slope, telling)
         error = tuple((half[:, 0] - half[:, 1]) / (2 * half.shape[0]) for half in end.seen.halves)
         of_rays = np.abs(np.asarray(slope, np.float64)) * _propagated(end.jacobian, error)
+        explained = explains(problem, float(end.seen.loss))
         if asked == given:  # more rays at most once
             asked = _more(given, of_rays, known, max_samples)
+        if asked == given and not explained:  # whose slopes may tell little
+            asked = _surer(given, error, max_samples)
         if traced == rounds or asked == _samples(problem):
             break
         begin, problem = end.z[None], retraced(problem, scene, asked)
-        if not explains(problem, float(end.seen.loss)):  # fewer rays may have led to another minimum
+        if not explained:  # fewer rays may have led to another minimum
             begin = jnp.concatenate([begin, first])
     seen = end.seen
     loose = known.open_directions()
@@ -264,6 +267,13 @@ def _more(given: tuple[int, ...], of_rays: np.ndarray, known: Uncertainty, most:
     own = square.max(axis=1) * len(given)
     most -= most % 2
     return tuple(max(n, min(n * factor, most)) if part > QUIET**2 else n for n, part in zip(given, own, strict=True))
+
+
+def _surer(given: tuple[int, ...], errors: tuple[Array, ...], most: int) -> tuple[int, ...]:
+    """Rays per pixel of each measurement whose own noise is `QUIET` deviations of its data where it was more."""
+    square = [float(np.mean(np.sum(np.asarray(error, np.float64) ** 2, axis=0))) for error in errors]
+    factor = [2 ** math.ceil(math.log2(own / QUIET**2)) if QUIET**2 < own < np.inf else 1 for own in square]
+    return tuple(max(n, min(n * own, most - most % 2)) for n, own in zip(given, factor, strict=True))
 
 
 def _propagated(jacobian: Array, errors: tuple[Array, ...]) -> np.ndarray:
