@@ -302,7 +302,7 @@ class Fit(eqx.Module):
         return [
             f"rays put at most {ratio:.2g} standard deviations of the noise into a value"
             + ("; give more samples, max_samples or larger shapes" if ratio > 1 else ""),
-            *([f"rays put in more than the noise, so more were traced, per pixel: {', '.join(more)}"] if more else []),
+            *([f"rays put in too much, so more were traced, per pixel: {', '.join(more)}"] if more else []),
             f"rays traced {self.rounds} times, {share:.0f} % of sampled directions count"
             + ("; they suit the solution badly: allow more rounds" if self.drifted else ""),
         ]

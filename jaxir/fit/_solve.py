@@ -64,12 +64,13 @@ def fit(
             high, or too low, they also shift the values, which no standard deviation tells.
         starts: further starts, physical values [start, p]; all run under one vmap, the best result counts.
         max_steps: of the solver, for each of its walks.
-        rounds: how often rays may be traced. They are traced again where the solution has outgrown the images, or
-            where sampled directions suit its brdf so badly that fewer than half of them count, or where they are too
-            few.
+        rounds: how often rays may be traced. They are traced again where the solution has outgrown the images or
+            fills less than half of them, or where sampled directions suit its brdf so badly that fewer than half of
+            them count, or where they are too few.
         max_samples: rays per pixel at most. Where the rays put more into a value than the data's noise does, by the
-            halves of the rays at the solution, they are traced once more: as many as shall put in half of it. Memory
-            and time grow with them; a measurement that asks for as many itself gets no more.
+            halves of the rays at the solution, they are traced once more: as many as shall put in half of it; so they
+            are where nothing explains the data and predictions vary by as much. Memory and time grow with them; a
+            measurement that asks for as many itself gets no more.
         key: random key of the points in the pixels and of sampled light.
 
     Returns:
