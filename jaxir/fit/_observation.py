@@ -29,6 +29,7 @@ from jaxir.transport import Paths, evaluate, graded_cameras, store_route, trace
 
 RAYS_BY_NODES = 1 << 16  # evaluated at once
 BLOCKS = 8  # of an image's pixels, whose sampling errors are independent
+SPARE = 1.1  # width of an image over what holds the scene, of jets whose outline may move
 ROOMY = 2.0  # area of an image over what holds the scene, beyond which too few rays meet it
 SLICE = 64  # rays in a slice, at most
 CURVE = 12  # bits of the raster, along the longer side of an image, on which rays are put in order
@@ -148,7 +149,8 @@ def observe(scene: Scene, measurement: Measurement, key: Key[Array, ""], moving:
     background = scene.background
     if measurement.per_pixel and not (background is None or background.uniform):
         raise ValueError(f"measurement: got images before a {type(background).__name__}, expected a uniform background")
-    measurement = eqx.tree_at(lambda m: m.cameras, measurement, _widened(measurement, scene))
+    room = as_float(SPARE if moving else 1.0)
+    measurement = eqx.tree_at(lambda m: m.cameras, measurement, _widened(measurement, scene, room))
     for_pixels, for_through, for_beside = jax.random.split(key, 3)
     merging = not scene.plumes and _alike(scene, measurement)  # rays of one block alone merge
     blocks = 1 if measurement.per_pixel or merging else BLOCKS
@@ -180,12 +182,15 @@ def _lit_by_others(scene: Scene, measurement: Measurement) -> bool:
 
 
 @program
-def _widened(measurement: Measurement, scene: Scene) -> Camera:
-    """Cameras of intensities with pixels large enough for images that hold the scene; other cameras as they are."""
+def _widened(measurement: Measurement, scene: Scene, room: Float[Array, ""]) -> Camera:
+    """Cameras of intensities with pixels large enough for images that hold the scene; other cameras as they are.
+
+    Images are `room` times as wide at least as what holds the scene.
+    """
     cameras = measurement.cameras
     if measurement.per_pixel:
         return cameras
-    return eqx.tree_at(lambda c: c.pixel, cameras, jnp.maximum(cameras.pixel, _pixels_wanted(cameras, scene)))
+    return eqx.tree_at(lambda c: c.pixel, cameras, jnp.maximum(cameras.pixel, room * _pixels_wanted(cameras, scene)))
 
 
 def _pixels_wanted(cameras: Camera, scene: Scene) -> Float[Array, "view 2"]:

@@ -125,7 +125,7 @@ def solve(
         scene = _placed(coordinates, near.z)[0]
         share = effective_share(problem, scene)
         drifted = bool(share < LEAST_SHARE) or not all(o.holds(scene) for o in problem.observations)
-        if drifted and traced < rounds:
+        if drifted and traced < rounds - 1:  # the last rays may have to be more
             move = near.z - near.begin
             begin = (near.begin + move / jnp.maximum(1, jnp.max(jnp.abs(move)) / LEAP))[None]
             problem = retraced(problem, _placed(coordinates, begin[0])[0], asked)
@@ -141,7 +141,7 @@ def solve(
             asked = _more(given, of_rays, known, max_samples)
         if asked == given and not explained:  # whose slopes may tell little
             asked = _surer(given, error, max_samples)
-        if traced == rounds or asked == _samples(problem):
+        if traced == rounds or asked == _samples(problem) and not drifted:
             break
         begin, problem = end.z[None], retraced(problem, scene, asked)
         if not explained:  # fewer rays may have led to another minimum
