@@ -60,6 +60,11 @@ def gauss_legendre(points: int) -> tuple[np.ndarray, np.ndarray]:
     return (node + 1) / 2, weight / 2
 
 
+def middles(count: int) -> np.ndarray:
+    """Those of the count^2 equal parts of a square of side 1 [part, 2]."""
+    return (np.indices((count, count)).reshape(2, -1).T + 0.5) / count
+
+
 def in_kernels(value: Float[Array, "ray *more"]) -> Float[Array, "ray *more"]:
     """`value` as it is, on a CPU in a way that keeps XLA from making one function of the loop around it.
 

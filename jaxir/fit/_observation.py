@@ -21,7 +21,7 @@ from jaxir._math import einsum
 from jaxir._programs import program
 from jaxir.fit._drift import density_ratio, effective_share
 from jaxir.fit._measurement import Measurement
-from jaxir.geometry import Camera, Crossings, Rays, hilbert_index, pixel_samples, tile_rays
+from jaxir.geometry import Camera, Crossings, Rays, hilbert_index, pixel_samples, tile_rays, view_angles
 from jaxir.geometry.search import MARGIN, closest_hit
 from jaxir.optics.spectrum import Nodes
 from jaxir.scene import Lit, Scene, on_nodes
@@ -210,11 +210,10 @@ def reframed(measurement: Measurement, scene: Scene) -> Measurement:
     if measurement.per_pixel or not scene.plumes:
         return measurement
     cameras = jax.tree.map(np.asarray, measurement.cameras)
-    x, y, z = np.moveaxis(cameras.frame[:, 2].astype(np.float64), 1, 0)
-    aspect = np.rad2deg(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1))
+    aspect = as_float(view_angles(cameras.frame))
     with np.errstate(divide="ignore"):
         distance = 1 / cameras.inverse_range[0]
-    made = graded_cameras(on_nodes(scene, measurement.nodes), as_float(aspect), cameras.shape, as_float(distance))
+    made = graded_cameras(on_nodes(scene, measurement.nodes), aspect, cameras.shape, as_float(distance))
     return dataclasses.replace(measurement, cameras=made)
 
 
@@ -290,7 +289,7 @@ def _merged(scene: Scene, measurement: Measurement, rays: ViewRays) -> ViewRays:
     method = measurement.method.resolved(scene)
     kinds = [np.asarray(rays.group), np.asarray(rays.face)]
     if scene.delta_sources:
-        vertex = eqx.filter_jit(trace)(scene, rays.rays, method).first.vertex
+        vertex = trace(scene, rays.rays, method).first.vertex
         assert vertex is not None
         kinds += list(np.asarray(vertex.visible))
     _, first, kind = np.unique(np.stack(kinds), axis=1, return_index=True, return_inverse=True)

@@ -264,7 +264,7 @@ def _more(given: tuple[int, ...], of_rays: np.ndarray, known: Uncertainty, most:
     loudest = float(np.sum(square, axis=0).max(initial=0.0))
     if not LOUD**2 < loudest < np.inf:
         return given
-    factor = 2 ** math.ceil(math.log2(loudest / QUIET**2))
+    factor = _times(loudest)
     own = square.max(axis=1) * len(given)
     most -= most % 2
     return tuple(max(n, min(n * factor, most)) if part > QUIET**2 else n for n, part in zip(given, own, strict=True))
@@ -273,8 +273,13 @@ def _more(given: tuple[int, ...], of_rays: np.ndarray, known: Uncertainty, most:
 def _surer(given: tuple[int, ...], errors: tuple[Array, ...], most: int) -> tuple[int, ...]:
     """Rays per pixel of each measurement whose own noise is `QUIET` deviations of its data where it was more."""
     square = [float(np.mean(np.sum(np.asarray(error, np.float64) ** 2, axis=0))) for error in errors]
-    factor = [2 ** math.ceil(math.log2(own / QUIET**2)) if QUIET**2 < own < np.inf else 1 for own in square]
+    factor = [_times(own) if QUIET**2 < own < np.inf else 1 for own in square]
     return tuple(max(n, min(n * own, most - most % 2)) for n, own in zip(given, factor, strict=True))
+
+
+def _times(square: float) -> int:
+    """How many times as many rays, a power of two, bring a variance down to that of `QUIET`."""
+    return 2 ** math.ceil(math.log2(square / QUIET**2))
 
 
 def _propagated(jacobian: Array, errors: tuple[Array, ...]) -> np.ndarray:

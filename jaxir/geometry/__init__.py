@@ -13,6 +13,7 @@ from jaxir.geometry._camera import fitted_camera as fitted_camera
 from jaxir.geometry._camera import in_front as in_front
 from jaxir.geometry._camera import orthographic_camera as orthographic_camera
 from jaxir.geometry._camera import perspective_camera as perspective_camera
+from jaxir.geometry._camera import view_angles as view_angles
 from jaxir.geometry._camera import view_checks as view_checks
 from jaxir.geometry._camera import view_frame as view_frame
 from jaxir.geometry._cone import FLAT as FLAT

@@ -257,6 +257,12 @@ def view_frame(azimuth: Any, elevation: Any) -> Float[Array, "3 3"]:
     return placed(xp.stack([u, v, w]))
 
 
+def view_angles(frame: Any) -> np.ndarray:
+    """Azimuth and elevation [*batch, 2] [deg] of observers with frames [*batch, 3, 3] of `view_frame`; on the host."""
+    x, y, z = np.moveaxis(np.asarray(frame, np.float64)[..., 2, :], -1, 0)
+    return np.rad2deg(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=-1))
+
+
 def _shape(shape: tuple[int, int]) -> tuple[int, int]:
     rows, columns = require_counts("Camera.shape", shape, "(rows, columns)", 2)
     return rows, columns

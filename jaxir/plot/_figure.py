@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from jaxir.geometry import Camera
+from jaxir.geometry import Camera, view_angles
 
 
 def figure_of(width: float, height: float) -> Any:
@@ -24,8 +22,7 @@ def figure_of(width: float, height: float) -> Any:
 
 def seen_from(camera: Camera) -> str:
     """Aspect and range of a camera in words."""
-    x, y, z = np.asarray(camera.frame, np.float64)[2]
-    azimuth, elevation = np.rad2deg(np.arctan2(y, x)), np.rad2deg(np.arcsin(np.clip(z, -1, 1)))
+    azimuth, elevation = view_angles(camera.frame)
     away = float(camera.inverse_range)
     how_far = "from afar" if away == 0 else f"{1 / away:.4g} m" if away > 1e-3 else f"{1e-3 / away:.4g} km"
     return f"azimuth {azimuth + 0.0:.4g}°, elevation {elevation + 0.0:.4g}°, {how_far}"

@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxir._arrays import as_float
-from jaxir._math import frame_around, matmul
+from jaxir._math import frame_around, matmul, middles
 from jaxir.geometry import Rays
 from jaxir.optics.spectrum import Nodes, band_radiance
 from jaxir.scene._scene import Lit, Scene
 from jaxir.scene._skin import Skin
-from jaxir.scene.light import AbstractLight, area_sources, backgrounds, delta_sources
+from jaxir.scene.light import AbstractLight, area_sources, backgrounds, delta_sources, towards
 from jaxir.scene.plume import AbstractPlume
 
 RAYS = 144  # through each plume
@@ -43,7 +43,7 @@ def draws() -> np.ndarray:
 
 def across(scene: Scene) -> Rays:
     """Rays from outside, `ACROSS`^2 even ones in each of `DIRECTIONS` through the box about each plume."""
-    place = (np.indices((ACROSS, ACROSS)).reshape(2, -1).T + 0.5) / ACROSS
+    place = middles(ACROSS)
     share = np.full((len(DIRECTIONS), len(place), 3), 0.5)
     for own, toward in zip(share, DIRECTIONS, strict=True):
         own[:, np.arange(3) != np.argmax(np.abs(toward))] = place
@@ -69,13 +69,9 @@ def between(scene: Scene) -> list[Rays]:
 
     def of(one: AbstractPlume, other: AbstractPlume) -> Rays:
         origin = places(one)
-        way = places(other) - origin
-        length = jnp.sqrt(jnp.sum(way**2, axis=1, keepdims=True))
-        upright = jnp.broadcast_to(as_float(np.array([0.0, 0.0, 1.0])), way.shape)
-        return from_outside(scene, Rays(origin, jnp.where(length > 0, way / jnp.where(length > 0, length, 1), upright)))
+        return from_outside(scene, Rays(origin, jax.vmap(towards)(places(other) - origin)[0]))
 
-    both_ways = itertools.permutations(scene.plumes, 2)
-    return [of(*pair) for pair in both_ways]
+    return [of(*pair) for pair in itertools.permutations(scene.plumes, 2)]  # both ways
 
 
 def through(scene: Scene, draws: Float[Array, "ray 6"]) -> Rays:

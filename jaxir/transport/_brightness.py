@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float, is_traced, placed
-from jaxir._math import dot, einsum, matmul, safe_divide
+from jaxir._math import dot, einsum, matmul, middles, safe_divide
 from jaxir._programs import program
 from jaxir.geometry import Brightness, Camera, Eye, Rays, camera_around, graded_camera, view_frame
 from jaxir.geometry.search import any_hit, face_normal
@@ -303,7 +303,7 @@ def _narrow_beams(lit: Lit, point: Float[Array, "face 3"], normal: Float[Array, 
     """Of lights with an extent, each by `NARROW`^2 of their points; dark where they look larger than `LITTLE`."""
     beams = []
     for source in lit.scene.area_sources:
-        for u in as_float(_middles(NARROW)):
+        for u in as_float(middles(NARROW)):
             beam, density = _glimpse(source, u, point, normal)
             light = jnp.where(density * LITTLE > 1, beam.light / NARROW**2, 0)
             beams.append(beam._replace(light=light))
@@ -318,11 +318,6 @@ def _glimpse(
     density = arrival.pdf[:, None]
     cosine = dot(arrival.omega_i, normal)[:, None]
     return _Beam(arrival.omega_i, cosine, safe_divide(light.arriving(arrival.omega_i), density)), density
-
-
-def _middles(count: int) -> np.ndarray:
-    """Those of count^2 equal parts of a square [part, 2]."""
-    return (np.indices((count, count)).reshape(2, -1).T + 0.5) / count
 
 
 def _irradiance(beams: list[_Beam], others: Float[Array, "face node"]) -> Float[Array, "face node"]:
@@ -340,5 +335,5 @@ def _from_all_around(
         def add(total: Array, u: Array, light: AbstractExtendedLight = light) -> tuple[Array, None]:
             return _irradiance([_glimpse(light, u, point, normal)[0]], total), None
 
-        total = lax.scan(add, total, as_float(_middles(SKY)))[0]
+        total = lax.scan(add, total, as_float(middles(SKY)))[0]
     return total / SKY**2
