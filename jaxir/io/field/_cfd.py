@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxir.geometry import Grid
 from jaxir.io._axes import Axes, metres
+from jaxir.io.field._blocks import blocks, joined, present
 from jaxir.io.field._datasets import finite_scalar, read_dataset, require_pyvista
 from jaxir.io.field._fractions import mole_fractions
 from jaxir.io.field._revolution import Revolution, revolution
@@ -77,8 +78,8 @@ def load_flow(
     """Read a flow field and resample it to a grid.
 
     Point data are interpolated in their cells, cell data are constant in them. A grid cell holds the mean of
-    samples^3 evenly spaced points. An axisymmetric solution, a half plane or a wedge, is spread around its axis; of a
-    wedge its middle plane counts.
+    samples^3 evenly spaced points. Cells that VTK's marks hide, or tell to be another block's, are left out. An
+    axisymmetric solution, a half plane or a wedge, is spread around its axis; of a wedge its middle plane counts.
 
     Args:
         path: VTK file (.vtk, .vti, .vtr, .vts, .vtu, .vtm), the .foam file of an OpenFOAM case, or any other volume
@@ -101,9 +102,10 @@ def load_flow(
 
     Raises:
         ImportError: pyvista is not installed.
-        ValueError: an unknown unit, no such file or time, an unreadable file, no volume cells, a field that is
-            missing, not scalar or not finite, a box without volume or beside the data, an axisymmetric solution on
-            both sides of its axis, mass fractions whose sum is not 1; the message names the file.
+        ValueError: an unknown unit, no such file or time, an unreadable file, no volume cells, two blocks with the same
+            cells, a field that is missing, of another kind by block, not scalar or not finite, a box without volume or
+            beside the data, an axisymmetric solution on both sides of its axis, mass fractions whose sum is not 1; the
+            message names the file.
     """
     pyvista = require_pyvista()
     file = Path(path)
@@ -112,7 +114,8 @@ def load_flow(
         raise ValueError(f"{file}: got no fields to read, expected names with the values beyond the data")
     if samples < 1:
         raise ValueError(f"samples: got {samples}, expected an integer >= 1")
-    data = _cells(pyvista, file, read_dataset(pyvista, file, time), flat=axisymmetric is not None)
+    names = [*fields, *(molar_masses or ())]
+    data = _cells(pyvista, file, read_dataset(pyvista, file, time), names, flat=axisymmetric is not None)
     source = _with_fields(file, data, fields, molar_masses)
     around = None if axisymmetric is None else revolution(file, np.asarray(data.points, float), axisymmetric)
     ends = np.asarray(source.bounds, float).reshape(3, 2)
@@ -161,28 +164,19 @@ def _with_fields(file: Path, data: Any, fields: Mapping[str, float], molar_masse
     return thin
 
 
-def _cells(pyvista: ModuleType, file: Path, data: Any, flat: bool) -> Any:
+def _cells(pyvista: ModuleType, file: Path, data: Any, names: Iterable[str], flat: bool) -> Any:
     """The volume cells of a data set, or the flat ones of a plane if there are none and `flat`.
 
-    Of an OpenFOAM case its internal mesh, of blocks all that have such cells.
+    Of an OpenFOAM case its internal mesh, of blocks all that have such cells; hidden and duplicate cells are none.
     """
+    inner = data["internalMesh"] if isinstance(data, pyvista.MultiBlock) and "internalMesh" in data.keys() else data
+    held = [present(block) for block in blocks(pyvista, inner)]
     for size in ("Volume", "Area")[: 1 + flat]:
-        found = data
-        if isinstance(data, pyvista.MultiBlock):
-            if "internalMesh" in data.keys():
-                found = data["internalMesh"]
-            else:
-                parts = [block for block in data.recursive_iterator(skip_none=True) if _has(pyvista, block, size)]
-                found = pyvista.MultiBlock(parts).combine() if parts else None
-        if _has(pyvista, found, size):
-            return found
-    found = data if isinstance(data, pyvista.DataSet) and data.n_cells else None
-    what = "nothing" if found is None else f"{type(found).__name__} with {found.n_cells} flat cells"
+        if parts := [block for block in held if block.n_cells and (_sizes(block, size) > 0).any()]:
+            return joined(pyvista, file, parts, names)
+    flat_cells = sum(block.n_cells for block in held)
+    what = f"{type(data).__name__} with {flat_cells} flat cells" if flat_cells else "nothing"
     raise ValueError(f"{file}: holds no volume cells, found {what}")
-
-
-def _has(pyvista: ModuleType, data: Any, size: str) -> bool:
-    return isinstance(data, pyvista.DataSet) and data.n_cells > 0 and bool(_sizes(data, size).sum() > 0)
 
 
 def _sizes(data: Any, size: str) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxir.io._files import largest_number, require_file
+from jaxir.io.field._readers import open_reader
 
 FARTHEST_POINT = 1e12  # coordinates in whatever unit the file has; 1e9 m, the farthest of a mesh, in mm
 _READ = ".vtk, .vti, .vtr, .vts, .vtu, .vtp, .vtm, .pvd, .foam, .cgns, .case, .xdmf or another format of VTK"
@@ -42,19 +43,15 @@ def read_dataset(pyvista: ModuleType, file: Path, time: float | None) -> Any:
     if file.suffix == ".vtk":
         _require_version(file)
     with _named(pyvista, file):
-        try:
-            reader = pyvista.get_reader(str(file))
-        except ValueError:  # none for the extension
-            reader = None
-        times = list(getattr(reader, "time_values", None) or [])
+        reader = open_reader(pyvista, file)
     if reader is None:
         raise ValueError(f"{file}: got a file {file.suffix or 'without extension'}, expected {_READ}")
+    times = reader.times
     if time is not None and not any(math.isclose(time, known) for known in times):
         raise ValueError(f"{file}: time {time} not found, the file holds {times or 'no times'}")
     with _named(pyvista, file):
-        if times:
-            reader.set_active_time_value(min(times, key=lambda t: abs(t - time)) if time is not None else times[-1])
-        data = reader.read()
+        last = times[-1] if times else None
+        data = reader.read(last if time is None else min(times, key=lambda known: abs(known - time)))
     blocks = data.recursive_iterator(skip_none=True) if isinstance(data, pyvista.MultiBlock) else [data]
     for block in blocks:
         if isinstance(block, pyvista.DataSet):
@@ -99,7 +96,7 @@ def _require_version(file: Path) -> None:
 
 @contextmanager
 def _named(pyvista: ModuleType, file: Path) -> Iterator[None]:
-    """Every error of a block, those that VTK only logs included, as one that names the file."""
+    """Every error of a block, those that VTK only logs included, as one that names the file, unless it does."""
     try:
         with (
             warnings.catch_warnings(),
@@ -109,6 +106,8 @@ def _named(pyvista: ModuleType, file: Path) -> Iterator[None]:
             warnings.simplefilter("ignore")
             yield
     except Exception as error:  # readers raise whatever their parsers do
+        if isinstance(error, ValueError) and str(error).startswith(f"{file}:"):
+            raise
         said = " ".join(str(error).split())[:200]
         raise ValueError(f"{file}: not readable as a computed field ({type(error).__name__}: {said})") from error
 

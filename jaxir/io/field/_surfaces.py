@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxir.geometry.search import Mesh
 from jaxir.io._axes import Axes, metres
+from jaxir.io.field._blocks import blocks, joined, present
 from jaxir.io.field._datasets import finite_scalar, read_dataset, require_pyvista
 
 FARTHEST = 0.1  # of the mesh's size, as a distance: a surface whose median is farther is that of another body or unit
@@ -84,8 +85,9 @@ def load_surface_field(
 
     Raises:
         ImportError: pyvista is not installed.
-        ValueError: an unknown unit, no such file or time, an unreadable file, no faces, a field that is missing, not
-            scalar or not finite, a surface that is not that of the mesh; the message names the file.
+        ValueError: an unknown unit, no such file or time, an unreadable file, no faces, two blocks with the same, a
+            field that is missing, of another kind by block, not scalar or not finite, a surface that is not that of the
+            mesh; the message names the file.
     """
     pyvista = require_pyvista()
     file = Path(path)
@@ -123,15 +125,14 @@ def _triangles(pyvista: ModuleType, file: Path, data: Any, field: str) -> Any:
     if isinstance(data, pyvista.MultiBlock):
         if "boundary" in data.keys() and data["boundary"] is not None:
             data = data["boundary"]
-        parts = [block for block in data.recursive_iterator(skip_none=True) if block.n_cells]
-        data = pyvista.MultiBlock(parts).combine() if parts else None
-    if data is None or data.n_cells == 0:
+    surfaces = [_surface(pyvista, block) for block in blocks(pyvista, data)]
+    parts = [part for part in map(present, surfaces) if part.n_cells]
+    if not parts:
         raise ValueError(f"{file}: holds no faces")
-    if not isinstance(data, pyvista.PolyData):
-        data = data.extract_surface(algorithm="dataset_surface")
+    data = _surface(pyvista, joined(pyvista, file, parts, [field]))
     if first := data.n_verts + data.n_lines:  # cells of these come before the faces
         faces = data.extract_cells(np.arange(first, data.n_cells))
-        data = faces.extract_surface(algorithm="dataset_surface")
+        data = _surface(pyvista, faces)
     if data.n_cells == 0:
         raise ValueError(f"{file}: holds no faces")
     value = finite_scalar(file, data, field)
@@ -143,6 +144,10 @@ def _triangles(pyvista: ModuleType, file: Path, data: Any, field: str) -> Any:
     if triangles.n_cells == 0:
         raise ValueError(f"{file}: holds no faces")
     return triangles
+
+
+def _surface(pyvista: ModuleType, data: Any) -> Any:
+    return data if isinstance(data, pyvista.PolyData) else data.extract_surface(algorithm="dataset_surface")
 
 
 def _nearest(surface: Any, field: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
