@@ -43,6 +43,14 @@ def safe_divide(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, 
     return jnp.where(b != 0, a / jnp.where(b != 0, b, 1), 0)
 
 
+def scan_anew(step: Callable, init: Any, items: Any, reverse: bool = False) -> tuple[Any, Any]:
+    """`lax.scan` whose steps are computed again for a gradient, from what was carried into each.
+
+    To keep every number of a step that its derivative needs makes a program of several times as many kernels.
+    """
+    return lax.scan(jax.checkpoint(step, prevent_cse=False), init, items, reverse=reverse)
+
+
 # Products in full precision on every device: by default graphics cards round each factor to 11 bits, which is .0005.
 matmul = functools.partial(jnp.matmul, precision=lax.Precision.HIGHEST)
 einsum = functools.partial(jnp.einsum, precision=lax.Precision.HIGHEST)

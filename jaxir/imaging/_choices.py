@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxir._arrays import require
+from jaxir._arrays import as_float, require
 from jaxir.geometry import AbstractSampler, Sobol
 from jaxir.imaging._adaptive import Look, looked, looks
 from jaxir.imaging._chunks import Pass, scattered_for
@@ -26,12 +26,13 @@ from jaxir.transport import (
     Method,
     SkinLight,
     faces_in_sight,
-    patch_that_shines,
     unaimed,
+    what_shines,
 )
 
 FEW = 2  # rays per pixel of the first pilots
 MET = 64  # rays of an image that go where the scene shines, at least
+HITS = 8  # and to the brightest of it that brings more than may be missed
 MORE = (12, 128)  # at least and at most, of the second
 LEAST_GROWTH = 0.25  # share of a pilot's time that its rays take at least: clocks are coarse, other work disturbs
 FEW_ORDERS = 2  # of scattering, tried first
@@ -42,7 +43,7 @@ EVEN = 4  # times the rays of a pilot that all pixels take, beyond which it is l
 LITTLE = 2**22  # work of an image that is done before it is known where its rays are needed
 MARGIN = 0.95  # of the tolerance that is aimed at, for what two pilots do not know
 SMALL = 1e-3  # of the skin's area that emits most of its light, below which it is looked for
-LEFT = 0.5  # of the tolerance that bounces beyond the last may add
+LEFT = 0.5  # of the tolerance that bounces beyond the last may add, or what is too small for its rays may bring
 
 
 class Trial(NamedTuple):
@@ -80,16 +81,20 @@ class Trial(NamedTuple):
         return ErrorLaw(self.pilot.variance * self.few, none, none)
 
 
-def rays_to_see(first: Pass) -> float:
-    """Rays per pixel of which `MET` go where the scene shines; of few, what is bright and small may be missed.
+def rays_to_see(first: Pass, goal: Goal) -> float:
+    """Rays per pixel of which `MET` go where the scene shines, and `HITS` to the brightest that may not be missed.
 
-    What hides what is looked for only where something small seems to shine.
+    Of few, what is bright and small may be missed. What hides what is looked for only where something small seems to
+    shine.
     """
     lit, camera = first.lit, first.camera
+    missed = as_float(LEFT * np.array(goal.of_intensity))
 
     def wanted(in_sight: Array | None) -> float:
-        patch = np.asarray(patch_that_shines(lit, camera, in_sight), np.float64).min()
-        return float(MET * np.prod(np.asarray(camera.pixel, np.float64)) / patch) if patch > 0 else 0.0
+        shown = what_shines(lit, camera, in_sight, missed)
+        patch, brightest = (np.asarray(area, np.float64).min() for area in shown)
+        area = float(np.prod(np.asarray(camera.pixel, np.float64)))
+        return float(area * max(MET / patch, HITS / brightest)) if patch > 0 else 0.0
 
     rays = wanted(None)
     return wanted(faces_in_sight(lit, camera)) if rays > FEW and lit.scene.skin is not None else rays

@@ -135,7 +135,7 @@ def render(
     if goal is None:
         require(miss_doubts(scene, camera, samples))
         return ended(even_image(first._replace(parts=parts), 0, samples, mesh, alone=True), None)
-    wanted, look = rays_to_see(first), None
+    wanted, look = rays_to_see(first, goal), None
     few = few_rays(wanted, max_samples)
     tried = first._replace(components=None).of(few)
     if planned:

@@ -136,7 +136,7 @@ def plan(
     key = key_or_default(key)
     given = Method() if method is None else method
     first = first_pass(scene, camera, bands, key, FEW, given, rtol=rtol)
-    few = few_rays(rays_to_see(first), max_samples)
+    few = few_rays(rays_to_see(first, goal), max_samples)
     times = []
     for _ in range(CALLS):  # once more, now that all of it is compiled
         began = time.perf_counter()

@@ -16,9 +16,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float
 
+from jaxir._math import scan_anew
 from jaxir.geometry import Rays
 from jaxir.medium._active import for_active
 from jaxir.medium._jet_layers import GAUSS, front_of_panel
@@ -140,7 +140,7 @@ def across_pieces(
         depth, sent = (value.reshape(2, *radiance.shape) * half[None, :, None] for value in found)
         return front_of_panel(radiance, *depth, *sent), None
 
-    return lax.scan(panel, behind, panel_points(cuts), reverse=True)[0]
+    return scan_anew(panel, behind, panel_points(cuts), reverse=True)[0]
 
 
 def mean_transmittance(medium: AbstractMedium, rays: Rays, cuts: Float[Array, "ray cut"]) -> Float[Array, "ray cut"]:
@@ -159,7 +159,7 @@ def mean_transmittance(medium: AbstractMedium, rays: Rays, cuts: Float[Array, "r
             return left, left  # a mean over nodes in the loop would keep it from native code
 
         pieces = ((cuts[:, 1:] + cuts[:, :-1]) / 2).T, jnp.diff(cuts).T
-        return jnp.mean(lax.scan(across, jnp.ones((rays.count, nodes), cuts.dtype), pieces)[1], axis=2).T
+        return jnp.mean(scan_anew(across, jnp.ones((rays.count, nodes), cuts.dtype), pieces)[1], axis=2).T
 
     meets = cuts[:, 0] < cuts[:, -1]
     left = jnp.where(meets[:, None], for_active(along, meets, (cuts, rays), nodes), 1)

@@ -3,7 +3,7 @@
 from jaxir.transport._brightness import beyond_frame as beyond_frame
 from jaxir.transport._brightness import faces_in_sight as faces_in_sight
 from jaxir.transport._brightness import graded_cameras as graded_cameras
-from jaxir.transport._brightness import patch_that_shines as patch_that_shines
+from jaxir.transport._brightness import what_shines as what_shines
 from jaxir.transport._direct import mis_weight as mis_weight
 from jaxir.transport._estimators import AbstractPathEstimator as AbstractPathEstimator
 from jaxir.transport._estimators import CellSum as CellSum

@@ -165,23 +165,37 @@ def _beyond(points: Float[Array, "part point 3"], camera: Camera) -> Float[Array
     return jnp.mean(out.astype(points.dtype), axis=-1)
 
 
+class Shown(NamedTuple):
+    """Areas in a camera's frame that rays must meet [band] [m2].
+
+    Attributes:
+        patch: of an even patch that rays would find as hard as they do what shines,
+
+            patch = (sum I)^2 / sum (I^2 / a),
+
+            I being the intensities of the parts in contrast to what is behind the scene, a their projected areas: of n
+            even and independent rays a pixel, of area A, the intensity would have the relative variance A / (n patch).
+            Where a face of a hundredth of a pixel sends most, it alone counts. It is at most the area of all parts,
+            which overlap, and of the rectangle that holds the scene; these alone where nothing shines by itself.
+        brightest: of the brightest parts that bring as much more than their share of the area as may be missed; inf
+            where all of them do not.
+    """
+
+    patch: Float[Array, " band"]
+    brightest: Float[Array, " band"]
+
+
 @program
-def patch_that_shines(lit: Lit, camera: Camera, in_sight: Bool[Array, " face"] | None) -> Float[Array, " band"]:
-    """Area of an even patch that rays would find as hard as they do what shines in a camera's frame [band] [m2].
-
-    Of n even rays a pixel, of area A, n a / A meet a part of projected area a. Of independent ones the intensity would
-    have the relative variance A / (n patch) with
-
-        patch = (sum I)^2 / sum (I^2 / a),
-
-    I being the intensities of the parts in contrast to what is behind the scene: where a face of a hundredth of a pixel
-    sends most, it alone counts. It is at most the area of all parts, which overlap, and of the rectangle that holds the
-    scene; these alone where nothing shines by itself.
+def what_shines(
+    lit: Lit, camera: Camera, in_sight: Bool[Array, " face"] | None, missed: Float[Array, "tolerance 2"]
+) -> Shown:
+    """What rays must meet of a scene.
 
     Args:
         lit: the scene on the nodes.
         camera: the eye.
         in_sight: see `faces_in_sight`; None: nothing hides anything.
+        missed: of an intensity, by each tolerance: as a share of it, or in [W sr-1] if that is more.
     """
     behind = lit.background(-camera.frame[2])
     corners, radiance, ends, radius, intensity = _seen(_shining(lit, behind), camera.eye)
@@ -196,11 +210,30 @@ def patch_that_shines(lit: Lit, camera: Camera, in_sight: Bool[Array, " face"] |
     area = jnp.concatenate([of_faces, radius * (np.pi * radius + 2 * long)]) * inside
     # as shares of the brightest: squares of what is faint underflow
     each = jnp.concatenate([jnp.abs(radiance) * of_faces[:, None], intensity]) * inside[:, None]
-    each = each / jnp.maximum(each.max(axis=0, keepdims=True), jnp.finfo(each.dtype).tiny)
+    largest = jnp.maximum(each.max(axis=0), jnp.finfo(each.dtype).tiny)
+    each = each / largest[None]
     spread = jnp.sum(each**2 / jnp.where(area > 0, area, 1)[:, None], axis=0)
-    patch = jnp.where(spread > 0, jnp.sum(each, axis=0) ** 2 / jnp.where(spread > 0, spread, 1), jnp.inf)
+    total = jnp.sum(each, axis=0)
+    patch = jnp.where(spread > 0, total**2 / jnp.where(spread > 0, spread, 1), jnp.inf)
     low, high = camera.rectangle(lit.scene.extent())
-    return jnp.minimum(patch, jnp.minimum(jnp.prod(high - low), jnp.sum(area)))
+    patch = jnp.minimum(patch, jnp.minimum(jnp.prod(high - low), jnp.sum(area)))
+    allowed = jnp.min(jnp.maximum(missed[:, :1] * total[None], missed[:, 1:] / largest[None]), axis=0)
+    return Shown(patch, _brightest(each, area, allowed))
+
+
+def _brightest(
+    each: Float[Array, "part band"], area: Float[Array, " part"], allowed: Float[Array, " band"]
+) -> Float[Array, " band"]:
+    """See `Shown.brightest`: of intensities of parts and their areas, of which so much may be missed."""
+
+    def of_band(own: Array, allowed: Array) -> Array:
+        radiance = safe_divide(own, area)
+        order = jnp.argsort(-radiance)
+        more = (radiance - safe_divide(jnp.sum(own), jnp.sum(area))) * area
+        enough = jnp.cumsum(more[order]) > allowed
+        return jnp.where(jnp.any(enough), jnp.cumsum(area[order])[jnp.argmax(enough)], jnp.inf)
+
+    return jax.vmap(of_band, in_axes=(1, 0))(each, allowed)
 
 
 @program

@@ -81,7 +81,7 @@ def _solved(lit: Lit, method: Method, told: bool) -> AbstractMedium:
     equations = _posed(lit, method)
     count = equations.groups.unscattered.shape[0]
     if is_traced(equations):
-        return _finished(equations, ordinates, _solutions((equations, ordinates, told)))
+        return _finished(equations, ordinates, _solutions((equations, ordinates, told))).settled()
     of_group = of_items(_solution, (equations, ordinates, told))
     groups = np.arange(count, dtype=np.int32)
     each = list(each_of(lambda group: jax.block_until_ready(of_group(group)), groups, ready=count > 1))

@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._arrays import as_float
+from jaxir._math import scan_anew
 from jaxir.geometry import Rays, Sobol, harmonics, no_hit, turned
 from jaxir.geometry.search import closest_hit
 from jaxir.scene import Lit, Scene
@@ -88,7 +89,7 @@ def entering(
         came = (reached() - level.toward(lit, drawn.omega)) * passed() * weight[:, None]
         return total + harmonics(-drawn.omega, order)[:, :, None] * came[:, None], None
 
-    return lax.scan(jax.checkpoint(add), none, (drawn, jax.random.split(jax.random.key(1), 2 * SAMPLES)))[0]
+    return scan_anew(add, none, (drawn, jax.random.split(jax.random.key(1), 2 * SAMPLES)))[0]
 
 
 def _drawn(lamp: SampledLight, key: Array, point: Float[Array, " 3"]) -> Drawn:

@@ -14,8 +14,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxir._arrays import Check, as_float, on_host
-from jaxir._math import dot, matmul, safe_divide
+from jaxir._arrays import Check, as_float, is_traced, on_host
+from jaxir._math import dot, matmul, safe_divide, scan_anew
 from jaxir._programs import program
 from jaxir.geometry import Camera, Eye, Rays, harmonics
 from jaxir.medium import (
@@ -124,7 +124,9 @@ class Scattered(AbstractMedium):
 
     def settled(self) -> Scattered:
         """The same of known values, with what they decide about programs."""
-        return self if self.through is not None else dataclasses.replace(self, through=bool(np.asarray(self._misreads)))
+        if self.through is not None or is_traced(self._misreads):
+            return self
+        return dataclasses.replace(self, through=bool(np.asarray(self._misreads)))
 
     @property
     def _misreads(self) -> Bool[Array, ""]:
@@ -272,7 +274,7 @@ def summed(
             totals = [total + a + b for total, (a, b) in zip(totals, sent, strict=True)]
             return (passed * jnp.exp(-near - far), totals), None
 
-        found = lax.scan(panel, (jnp.ones_like(dark), [dark] * len(sources)), panel_points(cuts))[0][1]
+        found = scan_anew(panel, (jnp.ones_like(dark), [dark] * len(sources)), panel_points(cuts))[0][1]
         return jnp.concatenate(found, axis=1)
 
     found = for_active(along, cuts[:, 0] < cuts[:, -1], (cuts, rays), nodes * len(sources))

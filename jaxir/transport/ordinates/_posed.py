@@ -42,7 +42,7 @@ from jax.scipy.linalg import block_diag
 from jaxtyping import Array, Int
 
 from jaxir._arrays import as_float
-from jaxir._math import matmul, sum_before
+from jaxir._math import matmul, scan_anew, sum_before
 from jaxir.geometry import Rays, degrees, harmonics, rule_size, sphere_rule
 from jaxir.geometry.search import any_hit
 from jaxir.medium import (
@@ -169,7 +169,7 @@ def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths, Through], Answ
         return total + own[1][:, None, :, None] * hidden[None, :, None], None
 
     none = jnp.zeros((point.shape[0], by_direction.shape[1], nodes), point.dtype)
-    hidden, all_hidden = lax.scan(hidden_in, jnp.stack([none, none]), (every, lobes, length))[0]
+    hidden, all_hidden = scan_anew(hidden_in, jnp.stack([none, none]), (every, lobes, length))[0]
     length, length_among = length[: len(direction)], length[len(direction) :]
 
     def grouped(of_nodes: Array) -> Array:
@@ -188,8 +188,8 @@ def posed(lit: Lit, method: Method, behind: Callable[[Lit, Paths, Through], Answ
         came = medium.radiance(rays, own[2], level.toward(lit, rays.direction))
         return total + own[1][None, :, None] * came[:, None], None
 
-    scattered, routes = lax.scan(ahead, [none[:, 0]] * len(parts), (direction, by_direction, length))
-    unscattered = lax.scan(beyond, none, (among, by_among, length_among))[0]
+    scattered, routes = scan_anew(ahead, [none[:, 0]] * len(parts), (direction, by_direction, length))
+    unscattered = scan_anew(beyond, none, (among, by_among, length_among))[0]
     unscattered = unscattered + entering(lit, method, point, order, level, behind)
     some = hidden[:, 0] > 0
     albedo = [jnp.where(some, each / jnp.where(some, hidden[:, 0], 1), 0) for each in scattered]
@@ -299,10 +299,12 @@ def _beam(
     many = part.from_cube(corner)
     omega, distance = jax.vmap(source.toward)(many)
     (own, rest), (whole, _) = (eqx.partition(one, eqx.is_array) for one in (medium, given))
-    passed, of_given = lax.map(  # one program for both
-        lambda one: eqx.combine(one, rest).transmittance(Rays(many, omega), distance),
-        jax.tree.map(lambda *both: jnp.stack(both), own, whole),
-    )
+
+    def passing(_: None, one: AbstractMedium) -> tuple[None, Array]:
+        return None, eqx.combine(one, rest).transmittance(Rays(many, omega), distance)
+
+    both = jax.tree.map(lambda *two: jnp.stack(two), own, whole)  # one program for both
+    passed, of_given = scan_anew(passing, None, both)[1]
     each = lax.stop_gradient(part.scattering_at(many))
     scattering = each.max(axis=1).reshape(len(CORNERS), len(place), 1)
     total = scattering.sum(axis=0, keepdims=True)
