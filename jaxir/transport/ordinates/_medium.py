@@ -123,10 +123,11 @@ class Scattered(AbstractMedium):
         return self._with_beams(between)
 
     def settled(self) -> Scattered:
-        """The same of known values, with what they decide about programs."""
-        if self.through is not None or is_traced(self._misreads):
+        """The same with what its values decide about programs, where these are known, as by `jax.grad` outside jit."""
+        misreads = None if self.through is not None else self._misreads
+        if misreads is None or is_traced(misreads):
             return self
-        return dataclasses.replace(self, through=bool(np.asarray(self._misreads)))
+        return dataclasses.replace(self, through=bool(np.asarray(misreads)))
 
     @property
     def _misreads(self) -> Bool[Array, ""]:
