@@ -93,7 +93,7 @@ def rays_to_see(first: Pass, goal: Goal) -> float:
     def wanted(in_sight: Array | None) -> float:
         shown = what_shines(lit, camera, in_sight, missed)
         patch, brightest = (np.asarray(area, np.float64).min() for area in shown)
-        area = float(np.prod(np.asarray(camera.pixel, np.float64)))
+        area = np.prod(np.asarray(camera.pixel, np.float64))
         return float(area * max(MET / patch, HITS / brightest)) if patch > 0 else 0.0
 
     rays = wanted(None)

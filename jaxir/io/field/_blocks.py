@@ -15,9 +15,9 @@ _HIDDEN = 2  # bit of a point
 
 
 def blocks(pyvista: ModuleType, data: Any) -> list[Any]:
-    """Every data set of one or several that has cells."""
+    """Every data set of one or several."""
     every = data.recursive_iterator(skip_none=True) if isinstance(data, pyvista.MultiBlock) else [data]
-    return [block for block in every if isinstance(block, pyvista.DataSet) and block.n_cells]
+    return [block for block in every if isinstance(block, pyvista.DataSet)]
 
 
 def present(block: Any) -> Any:

@@ -170,7 +170,7 @@ def _cells(pyvista: ModuleType, file: Path, data: Any, names: Iterable[str], fla
     Of an OpenFOAM case its internal mesh, of blocks all that have such cells; hidden and duplicate cells are none.
     """
     inner = data["internalMesh"] if isinstance(data, pyvista.MultiBlock) and "internalMesh" in data.keys() else data
-    held = [present(block) for block in blocks(pyvista, inner)]
+    held = [present(block) for block in blocks(pyvista, inner) if block.n_cells]
     for size in ("Volume", "Area")[: 1 + flat]:
         if parts := [block for block in held if block.n_cells and (_sizes(block, size) > 0).any()]:
             return joined(pyvista, file, parts, names)

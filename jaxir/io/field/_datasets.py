@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxir.io._files import largest_number, require_file
+from jaxir.io.field._blocks import blocks
 from jaxir.io.field._readers import open_reader
 
 FARTHEST_POINT = 1e12  # coordinates in whatever unit the file has; 1e9 m, the farthest of a mesh, in mm
@@ -52,10 +53,8 @@ def read_dataset(pyvista: ModuleType, file: Path, time: float | None) -> Any:
     with _named(pyvista, file):
         last = times[-1] if times else None
         data = reader.read(last if time is None else min(times, key=lambda known: abs(known - time)))
-    blocks = data.recursive_iterator(skip_none=True) if isinstance(data, pyvista.MultiBlock) else [data]
-    for block in blocks:
-        if isinstance(block, pyvista.DataSet):
-            _require_consistent(pyvista, file, block)
+    for block in blocks(pyvista, data):
+        _require_consistent(pyvista, file, block)
     return data
 
 

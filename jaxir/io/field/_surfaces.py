@@ -125,7 +125,7 @@ def _triangles(pyvista: ModuleType, file: Path, data: Any, field: str) -> Any:
     if isinstance(data, pyvista.MultiBlock):
         if "boundary" in data.keys() and data["boundary"] is not None:
             data = data["boundary"]
-    surfaces = [_surface(pyvista, block) for block in blocks(pyvista, data)]
+    surfaces = [_surface(pyvista, block) for block in blocks(pyvista, data) if block.n_cells]
     parts = [part for part in map(present, surfaces) if part.n_cells]
     if not parts:
         raise ValueError(f"{file}: holds no faces")

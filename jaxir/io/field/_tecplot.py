@@ -22,6 +22,8 @@ def zone_times(file: Path) -> list[float | None]:
     zones: list[dict[str, str]] = []
     with file.open(encoding="latin-1") as stream:
         for number, line in enumerate(stream, 1):
+            if "=" not in line and "zone" not in line.lower():  # numbers, of which there are many lines
+                continue
             for zone, key, value in _WORD.findall(line):
                 if zone:
                     zones.append({})

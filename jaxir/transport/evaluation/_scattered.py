@@ -79,13 +79,15 @@ def _solved(lit: Lit, method: Method, told: bool) -> AbstractMedium:
     ordinates = method.scattering
     assert ordinates is not None
     equations = _posed(lit, method)
-    count = equations.groups.unscattered.shape[0]
+    asked = equations, ordinates, told
     if is_traced(equations):
-        return _finished(equations, ordinates, _solutions((equations, ordinates, told))).settled()
-    of_group = of_items(_solution, (equations, ordinates, told))
-    groups = np.arange(count, dtype=np.int32)
-    each = list(each_of(lambda group: jax.block_until_ready(of_group(group)), groups, ready=count > 1))
-    return _finished(equations, ordinates, jax.tree.map(lambda *some: jnp.stack(some), *each)).settled()
+        solutions = _solutions(asked)
+    else:
+        of_group = of_items(_solution, asked)
+        groups = np.arange(equations.groups.unscattered.shape[0], dtype=np.int32)
+        each = each_of(lambda group: jax.block_until_ready(of_group(group)), groups, ready=len(groups) > 1)
+        solutions = jax.tree.map(lambda *some: jnp.stack(some), *each)
+    return _finished(equations, ordinates, solutions).settled()
 
 
 @program

@@ -124,10 +124,10 @@ class Scattered(AbstractMedium):
 
     def settled(self) -> Scattered:
         """The same with what its values decide about programs, where these are known, as by `jax.grad` outside jit."""
-        misreads = None if self.through is not None else self._misreads
-        if misreads is None or is_traced(misreads):
+        if self.through is not None:
             return self
-        return dataclasses.replace(self, through=bool(np.asarray(misreads)))
+        misreads = self._misreads
+        return self if is_traced(misreads) else dataclasses.replace(self, through=bool(np.asarray(misreads)))
 
     @property
     def _misreads(self) -> Bool[Array, ""]:
