@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,20 @@ from jaxir.optics.surface import AbstractBrdf, joined_brdf
 from jaxir.scene import Skin
 
 
+class Change(NamedTuple):
+    """What an entry of `parts` says.
+
+    Attributes:
+        key: of the entry.
+        part: its name.
+        what: it gives, of temperature and brdf.
+    """
+
+    key: str
+    part: str
+    what: tuple[str, ...]
+
+
 def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> tuple[Skin, tuple[str, ...]]:
     """The table `skin`.
 
@@ -39,11 +53,11 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> tuple[Skin, tuple[
         readers: of parameters by name, that of `brdf` among them.
 
     Returns:
-        The skin, and what transferring computed surfaces did to them.
+        The skin, and what transferring computed surfaces did to them, and which parts take faces of others.
 
     Raises:
-        ValueError: a key or value that does not fit, a part that the mesh has not, faces without a temperature or
-            brdf; names file and key.
+        ValueError: a key or value that does not fit, a part that the mesh has not, or that is left without faces, faces
+            without a temperature or brdf; names file and key.
     """
     keys = entry.only(["mesh", "temperature", "brdf", "parts"], ["mesh"])
     body = _body(keys["mesh"], readers)
@@ -53,11 +67,13 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> tuple[Skin, tuple[
     brdfs: list[AbstractBrdf] = []
     notes: list[str] = []
     changes = keys["parts"].items() if "parts" in keys else []
+    changed: list[Change] = []
     for change in [everywhere, *changes]:
-        faces = np.arange(body.mesh.count)
+        faces, given = np.arange(body.mesh.count), change.children()
         if change is not everywhere:
-            faces, body = _faces(change, body, readers)
-        given = change.children()
+            before, (faces, body) = body, _faces(change, body, readers)
+            notes += _taken(change, faces, before, changed)
+            changed.append(Change(change.key, given["name"].value, tuple(set(given) & {"temperature", "brdf"})))
         if "temperature" in given:
             temperature[faces] = face_temperature(given["temperature"], body.mesh, faces, readers, notes)
         if "brdf" in given:
@@ -106,6 +122,27 @@ def _faces(change: Entry, body: Body, readers: Mapping[str, Reader]) -> tuple[np
     return faces, body._replace(**new_part(name, faces, body.part, names))
 
 
+def _taken(change: Entry, faces: np.ndarray, body: Body, before: list[Change]) -> list[str]:
+    """What an entry takes of the parts that entries before it changed, of the body that these left.
+
+    Raises:
+        ValueError: it leaves such a part no face, or changes again what one of them did.
+    """
+    given, notes = change.children(), []
+    for key, name, what in before:
+        if "faces" not in given and given["name"].value == name:
+            if twice := set(what) & set(given):
+                raise given["name"].wrong(f"another part: {key} has its {' and '.join(sorted(twice))}")
+            continue
+        part = body.part == body.part_names.index(name)
+        taken, whole = int(part[faces].sum()), int(part.sum())
+        if taken == whole:
+            raise given["faces"].wrong(f"faces that leave some to part {name!r} of {key}")
+        if taken:
+            notes.append(f"{change.key}: takes {taken} of the {whole} faces of part {name!r} of {key}")
+    return notes
+
+
 def _indices(entry: Entry) -> np.ndarray:
     """Integers that may be indices."""
     value = np.asarray(numbers(entry))
@@ -145,10 +182,14 @@ def face_temperature(
     """
     if isinstance(entry.value, dict) and "path" in entry.value:
         if existing_file(entry.children()["path"]).suffix.lower() in (".csv", ".npz", ".npy", ".txt", ".dat"):
-            return construct(entry, load_face_values, {**readers, "column": text}, count=faces.size)
-        found = construct(entry, load_surface_field, {**readers, "field": text}, mesh=mesh)
-        notes.append(f"{entry.key}: {found.describe()}")
-        return found.value[faces]
+            value = construct(entry, load_face_values, {**readers, "column": text}, count=faces.size)
+        else:
+            found = construct(entry, load_surface_field, {**readers, "field": text}, mesh=mesh)
+            notes.append(f"{entry.key}: {found.describe()}")
+            value = found.value[faces]
+        if not (coldest := float(np.min(value))) > 0:
+            raise entry.failed(ValueError(f"got {coldest:g}, expected temperatures > 0 K (are they in Celsius?)"))
+        return value
     value = np.asarray(numbers(entry))
     if value.shape not in ((), (faces.size,)):
         raise entry.wrong(f"one number or {faces.size}, one per face")

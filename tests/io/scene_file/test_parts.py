@@ -74,6 +74,50 @@ def test_what_catches_nothing_or_everything_is_one_line(faces, message, tmp_path
     assert "\n" not in str(found.value)
 
 
+def more_parts(folder, *parts):
+    """The scene with a part `aft` of two faces at 400 K and others after it."""
+    skin(folder, "[2, 3]")
+    text = TEXT.replace("FACES", "[2, 3]") + "".join(f"[[skin.parts]]\n{part}\n" for part in parts)
+    return load_scene(write_scene(folder, text))
+
+
+def test_faces_that_a_later_part_takes_are_told(tmp_path):
+    found = more_parts(tmp_path, "name = 'low'\nfaces = [3, 4]\ntemperature = 500")
+    np.testing.assert_array_equal(found.scene.skin.temperature, [300, 300, 400, 500, 500, 300])
+    assert "skin.parts[1]: takes 1 of the 2 faces of part 'aft' of skin.parts[0]" in found.notes
+    split = more_parts(tmp_path, "name = 'aft'\nbrdf = { type = 'Lambert', emissivity = 0.2 }")
+    assert split.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (
+            "name = 'all'\nfaces = { type = 'OfPart', parts = 'aft' }\ntemperature = 500",
+            r"skin.parts\[1\].faces: got .*, expected faces that leave some to part 'aft' of skin.parts\[0\]",
+        ),
+        (
+            "name = 'aft'\ntemperature = 500",
+            r"skin.parts\[1\].name: got 'aft', expected another part: skin.parts\[0\] has its temperature",
+        ),
+    ],
+)
+def test_no_part_is_lost_to_a_later_one(part, message, tmp_path):
+    """Its temperature and brdf would be read and mean nothing."""
+    with pytest.raises(ValueError, match=f"scene.toml: {message}") as found:
+        more_parts(tmp_path, part)
+    assert "\n" not in str(found.value)
+
+
+def test_temperatures_in_celsius_are_refused_where_they_are_read(tmp_path):
+    np.save(tmp_path / "hot.npy", np.array([21.0, -3.5]))
+    text = TEXT.replace("FACES", "[2, 3]").replace("temperature = 400", "temperature = { path = 'hot.npy' }")
+    skin(tmp_path, "[2, 3]")
+    message = r"skin.parts\[0\].temperature: got -3.5, expected temperatures > 0 K \(are they in Celsius\?\)"
+    with pytest.raises(ValueError, match=f"scene.toml: {message}"):
+        load_scene(write_scene(tmp_path, text))
+
+
 def test_a_name_is_every_place_of_an_object(tmp_path):
     scene = trimesh.Scene(geometry={"engine": trimesh.creation.box(), "wing": trimesh.creation.box()})
     scene.graph.update(
