@@ -40,8 +40,8 @@ def bandwidth(megabytes: int = 256) -> float:
 
 def crossed(scene, camera) -> float:
     """Mean number of cells crossed by a camera ray, from one ray in 64."""
-    tile = jnp.arange(0, camera.tiles[0] * camera.tiles[1], 64, dtype=jnp.int32)
-    screen = camera.screen(tile, jnp.full((tile.shape[0], 256, 2), 0.5)).reshape(-1, 2)
+    first = jnp.asarray(camera.first_pixels()[::64])
+    screen = camera.screen(first, jnp.full((first.shape[0], 256, 2), 0.5)).reshape(-1, 2)
     rays = camera.bundle(screen, scene.start(camera)).rays()
     lists = crossings(scene.plume.grid, rays, jnp.full(rays.count, jnp.inf))
     return float(jnp.mean(jnp.sum(lists.length > 0, axis=1)))

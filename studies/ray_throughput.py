@@ -52,10 +52,10 @@ def aircraft(faces: float) -> tuple[np.ndarray, np.ndarray]:
 def picture(width: float, pixels: int, reach: float, samples: int = 1) -> Bundle:
     """Rays of a camera that sees `width` [m]; several samples lie at random places of each pixel."""
     camera = jaxir.perspective_camera(60.0, 25.0, DISTANCE, width / pixels / DISTANCE, (pixels, pixels))
-    tile = jnp.repeat(jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32), samples)
-    shape = (tile.shape[0], 256, 2)
+    first = jnp.repeat(jnp.asarray(camera.first_pixels()), samples, axis=0)
+    shape = (first.shape[0], 256, 2)
     offset = np.full(shape, 0.5) if samples == 1 else np.random.default_rng(0).random(shape)
-    screen = camera.screen(tile, jnp.asarray(offset, jnp.float32)).reshape(-1, 2)
+    screen = camera.screen(first, jnp.asarray(offset, jnp.float32)).reshape(-1, 2)
     return camera.bundle(screen, jnp.asarray(2 * reach, jnp.float32))
 
 

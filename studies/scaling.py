@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 import jaxir
 from jaxir.geometry import fitted_camera
-from jaxir.imaging import estimate_chunk, first_pass
+from jaxir.imaging import Chunk, estimate_chunk, first_pass
 from studies._study import Run, study, subplots
 from studies.aircraft import generic_aircraft
 
@@ -46,7 +46,8 @@ def one_pass(scene, nodes, samples=2, bounces=0) -> tuple[float, float]:
     camera = fitted_camera(40.0, 20.0, scene.extent(), (PIXELS, PIXELS))
     method = jaxir.Method(jaxir.DirectSampling(1, 0), bounces).resolved(scene)
     whole = first_pass(scene, camera, nodes, jax.random.key(0), samples, method)
-    chunks = whole.chunks()
+    chunks = list(map(Chunk, *whole.chunks()))
+    whole = whole.of_chunks()
     compiled = estimate_chunk.lower(whole, chunks[0]).compile()
     memory = compiled.compiled.memory_analysis().temp_size_in_bytes / 1e6
     jax.block_until_ready(compiled(whole, chunks[0]))

@@ -66,7 +66,7 @@ def x64():
 @pytest.fixture
 def one_program(monkeypatch):
     """For images of all numbers of rays, whose strata are else traced in groups of different sizes."""
-    monkeypatch.setattr("jaxir.imaging._chunks.TOGETHER", (1,))
+    monkeypatch.setattr("jaxir.imaging._division.TOGETHER", (1,))
 
 
 @pytest.fixture(autouse=True, scope="module")

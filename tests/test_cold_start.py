@@ -17,6 +17,7 @@ import jaxir
 from jaxir import MWIR, _cache
 from jaxir._cache import _SUFFIX
 from jaxir._programs import program
+from jaxir.imaging import _adaptive, _chunks
 from jaxir.optics.spectrum import gray_nodes
 from jaxir.scene import _resolution
 from jaxir.transport import with_scattered
@@ -110,6 +111,29 @@ def test_numbers_set_into_fields_compile_nothing():
     del COMPILED[:]
     assert [float(of(value)) for value in values] == [0.5, 2.0, 1.5, 1.0, 0.25]
     assert not COMPILED
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="on a graphics card an image is one chunk")
+@pytest.mark.parametrize("asked", [{"samples": 8}, {"pixel_rtol": 0.05, "method": jaxir.Method()}], ids=str)
+def test_images_of_other_shapes_trace_no_rays(asked, monkeypatch):
+    """Only what puts their pixels together is compiled again."""
+    traced, see = [], _chunks.see
+
+    def counted(*args):
+        traced.append(args)
+        return see(*args)
+
+    for module in (_chunks, _adaptive):
+        monkeypatch.setattr(module, "see", counted)
+    fan = jaxir.Mesh([[0.0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1], [0, -1, 1]], [[0, 1, 2], [0, 2, 3], [0, 3, 4]])
+    seen = jaxir.Scene(jaxir.Skin(fan, 300.0, jaxir.Lambert(0.5)))
+    exact = float(jaxir.unoccluded_intensity(seen, 0, 10, MWIR)[0])
+    once = None
+    for shape in ((20, 30), (16, 16), (30, 100), (90, 128)):
+        image = jaxir.render(seen, jaxir.fitted_camera(0, 10, seen.extent(), shape), MWIR, **asked)
+        np.testing.assert_allclose(image.radiant_intensity()[0], exact, rtol=0.03)
+        once = len(traced) if once is None else once
+    assert len(traced) == once > 0
 
 
 def test_other_numbers_of_views_compile_nothing():

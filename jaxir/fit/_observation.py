@@ -234,12 +234,12 @@ def _rays_of_view(scene: Scene, camera: Camera, view: Int[Array, ""], key: Array
     Weights are those of an intensity, `group` is pixel + (number of pixels) * half, or -1.
     """
     key = jax.random.fold_in(key, view)
-    tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
-    offset = pixel_samples(key, tile.shape[0], samples)
+    first = jnp.asarray(camera.first_pixels())
+    offset = pixel_samples(key, first.shape[0], samples)
     count = 2 * offset.shape[0]
     # on the sphere, if that is further out: a jet may grow inside it, see `Observation.holds`
     start = jnp.maximum(scene.start(camera), scene.radius(camera.target))
-    bundle = tile_rays(camera, tile, offset, start)
+    bundle = tile_rays(camera, first, offset, start)
     rays = bundle.rays()
     reach = jnp.full_like(rays.origin[:, 0], jnp.inf)
     face = jnp.full(reach.shape, -1, jnp.int32)
@@ -249,7 +249,7 @@ def _rays_of_view(scene: Scene, camera: Camera, view: Int[Array, ""], key: Array
     crosses = jnp.zeros(reach.shape, bool)
     if scene.plume is not None:
         crosses = scene.plume.meets(rays, reach)
-    pixel = camera.pixel_index(tile)
+    pixel = jnp.asarray(camera.pixel_index())
     area = camera.pixel_area().reshape(-1)[jnp.maximum(pixel, 0)]
 
     def spread(value: Array) -> Array:

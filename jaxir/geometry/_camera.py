@@ -7,12 +7,12 @@ rays traced together share their work.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float, Int, Shaped
 
 from jaxir._arrays import (
@@ -34,6 +34,7 @@ from jaxir._plausible import ELEVATION, usual
 from jaxir.geometry._ray import Bundle
 
 TILE = 16
+_PIXELS = np.stack(np.divmod(np.arange(TILE * TILE), TILE), axis=-1)  # row and column of those of a tile
 MARGIN = 1e-5  # beside what a camera is fitted to, of half the image, for rounding: rays that meet nothing hardly tell
 _RADIAN = usual(1e-8, 0.2, "rad", above="is it in degrees, mrad or urad?")
 
@@ -97,30 +98,48 @@ class Camera(eqx.Module):
         """Rows and columns of tiles that cover the image."""
         return -(-self.shape[0] // TILE), -(-self.shape[1] // TILE)
 
-    def screen(self, tile: Int[Array, " tile"], offset: Float[Array, "tile pixel 2"]) -> Float[Array, "tile pixel 2"]:
+    @property
+    def corner(self) -> Float[np.ndarray, " 2"]:
+        """Row and column of the first pixel, counted from the middle of the image; 0 and 0 where it is graded."""
+        return -np.array(self.shape) / 2 if self.grading is None else np.zeros(2)
+
+    def first_pixels(self, tile: Int[np.ndarray, "*tile"] | None = None) -> Float[np.ndarray, "*tile 2"]:
+        """Row and column of the first pixel of tiles [*tile, 2], as from `corner`: of all, or by index, row by row."""
+        tile = np.arange(self.tiles[0] * self.tiles[1]) if tile is None else tile
+        corner = self.corner + TILE * np.stack(np.divmod(tile, self.tiles[1]), axis=-1)
+        return corner.astype(self.pixel.dtype)
+
+    def screen(
+        self, first: Float[Array, "tile 2"], offset: Float[Array, "tile pixel 2"]
+    ) -> Float[Array, "tile pixel 2"]:
         """Screen points in the pixels of tiles.
 
         Args:
-            tile: index of each tile, row by row.
+            first: of `first_pixels`.
             offset: place inside each pixel, in [0, 1) along columns and rows.
 
         Returns:
             Screen points [tile, pixel, 2] [m]; pixels beyond the image's edge continue its raster, or where it is
             graded repeat its last row or column.
         """
-        return self.points(*self._raster(tile), offset)
+        return self.points(first[:, None] + as_float(_PIXELS)[None], offset)
 
-    def points(
-        self, row: Int[Array, "*#batch"], column: Int[Array, "*#batch"], offset: Float[Array, "*batch 2"]
-    ) -> Float[Array, "*batch 2"]:
-        """Screen points [*batch, 2] [m] at places in [0, 1) inside pixels."""
+    def points(self, pixel: Float[Array, "*#batch 2"], offset: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Screen points [*batch, 2] [m] at places in [0, 1) inside pixels: row and column of these as from `corner`."""
         if self.grading is None:
-            x = column.astype(offset.dtype) + offset[..., 0]
-            y = row.astype(offset.dtype) + offset[..., 1]
+            x, y = pixel[..., 1] + offset[..., 0], pixel[..., 0] + offset[..., 1]
         else:
-            x = self.shape[1] * _between(self.grading.columns, column, offset[..., 0])
-            y = self.shape[0] * _between(self.grading.rows, row, offset[..., 1])
-        return jnp.stack([(x - self.shape[1] / 2) * self.pixel[0], (self.shape[0] / 2 - y) * self.pixel[1]], axis=-1)
+            row, column = jnp.moveaxis(pixel.astype(jnp.int32), -1, 0)
+            x = self.shape[1] * (_between(self.grading.columns, column, offset[..., 0]) - 0.5)
+            y = self.shape[0] * (_between(self.grading.rows, row, offset[..., 1]) - 0.5)
+        return jnp.stack([x * self.pixel[0], -y * self.pixel[1]], axis=-1)
+
+    def endless(self) -> Camera:
+        """The same raster without an end: what looks at some pixels of it compiles once for images of all shapes.
+
+        One that is graded has its end all the same.
+        """
+        return dataclasses.replace(self, shape=(0, 0)) if self.grading is None else self
 
     def project(self, point: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
         """Screen points of points of the scene [m]."""
@@ -169,16 +188,12 @@ class Camera(eqx.Module):
         screen = low[None] + (high - low)[None] * as_float((cell + 0.5) / side)
         return screen, jnp.prod(high - low) / side**2 / self.slant(screen) ** 2
 
-    def _raster(self, tile: Int[Array, " tile"]) -> tuple[Int[Array, "tile pixel"], Int[Array, "tile pixel"]]:
-        """Row and column of every pixel of tiles, beyond the image's edge too."""
-        columns = jnp.asarray(self.tiles[1], tile.dtype)
-        row, column = np.divmod(np.arange(TILE * TILE, dtype=np.int32)[None], TILE)
-        return lax.div(tile, columns)[:, None] * TILE + row, lax.rem(tile, columns)[:, None] * TILE + column
-
-    def pixel_index(self, tile: Int[Array, " tile"]) -> Int[Array, "tile pixel"]:
-        """row * columns + column of every pixel of tiles, -1 beyond the image's edge."""
-        row, column = self._raster(tile)
-        return jnp.where((row < self.shape[0]) & (column < self.shape[1]), row * self.shape[1] + column, -1)
+    def pixel_index(self, tile: Int[np.ndarray, " tile"] | None = None) -> Int[np.ndarray, "tile pixel"]:
+        """row * columns + column of every pixel of tiles, as of `first_pixels`, -1 beyond the image's edge."""
+        first = (self.first_pixels(tile) - self.corner).astype(np.int32)
+        row, column = np.moveaxis(first[:, None] + _PIXELS, -1, 0)
+        index = np.where((row < self.shape[0]) & (column < self.shape[1]), row * self.shape[1] + column, -1)
+        return index.astype(np.int32)
 
     def bundle(self, screen: Float[Array, "ray 2"], start: Float[Array, ""]) -> Bundle:
         """The rays through screen points, starting on the plane `start` [m] in front of the target."""

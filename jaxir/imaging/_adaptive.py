@@ -38,7 +38,7 @@ from jaxir.imaging._chunks import (
     see,
     whole_image,
 )
-from jaxir.imaging._devices import over_items, progress
+from jaxir.imaging._devices import progress, stacked
 from jaxir.imaging._estimate import Estimate, Seen, Varied, of_strata
 from jaxir.imaging._image import Image, joined
 from jaxir.imaging._pilot import well_shaped
@@ -60,6 +60,7 @@ class Strata:
     Attributes:
         row, column: of each pixel [pixel].
         name: number of each in the image [pixel].
+        where: row and column of each as from `Camera.corner` [pixel, 2].
         count: strata of each [pixel].
         columns: of its strata [pixel].
     """
@@ -67,6 +68,7 @@ class Strata:
     row: Int[np.ndarray, " pixel"]
     column: Int[np.ndarray, " pixel"]
     name: Int[np.ndarray, " pixel"]
+    where: Float[np.ndarray, "pixel 2"]
     count: Int[np.ndarray, " pixel"]
     columns: Int[np.ndarray, " pixel"]
 
@@ -79,7 +81,9 @@ class Strata:
         """Chunks of so many in which all of them are seen."""
         return -(-int(self.count.sum()) // size)
 
-    def chunk(self, size: int, number: int) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, "spot 4"]]:
+    def chunk(
+        self, size: int, number: int
+    ) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, "spot 4"], Float[np.ndarray, "spot 2"]]:
         """Pixels of a chunk [pixel], where each begins [pixel], and what `_seen_at` asks for; the last fills up."""
         end = self.end
         begin, last = number * size, min((number + 1) * size, int(end[-1]))
@@ -88,9 +92,10 @@ class Strata:
         first = end[pixel] - count
         place = np.maximum(first - begin, 0)
         each = np.stack([self.name[pixel], first, columns, count // columns], axis=1)
-        spots = np.repeat(each, np.diff(place, append=size), axis=0).astype(np.int32)
+        own = np.repeat(np.arange(len(pixel)), np.diff(place, append=size))
+        spots = each[own].astype(np.int32)
         spots[:, 1] = np.minimum(np.arange(begin, begin + size), last - 1) - spots[:, 1]
-        return pixel, place, spots
+        return pixel, place, spots, self.where[pixel][own]
 
 
 class Look(NamedTuple):
@@ -148,7 +153,9 @@ def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = N
         alone: whether no other image is made of its chunks' program: if it is small, one program makes all of it.
     """
     taken = taken._replace(number=as_number(number)).of(samples)
-    return over_items(estimate_chunk, whole_image, taken, taken.chunks(), "render", mesh, alone and taken.quick)
+    quick = alone and taken.quick
+    chunks = taken.chunks(taken.parts if quick else 1)
+    return whole_image(taken, stacked(estimate_chunk, taken.of_chunks(), chunks, "render", mesh, quick))
 
 
 def looks(few: int) -> int:
@@ -224,12 +231,12 @@ def seconds_of(first: Pass, goal: Goal, look: Look) -> float:
     """Seconds of `adapted` if what the look tells is right: by some of its chunks, that are seen twice."""
     taken, left = first.of(2), goal.seconds - look.seconds
     count = look.strata(goal.most, left)
-    strata, own, spent = strata_of(count, first.camera), of_items(_seen_at, taken), 0.0
+    strata, own, spent = strata_of(count, first.camera), of_items(_seen_at, taken.of_chunks()), 0.0
     size = taken.spots
-    some = [strata.chunk(size, number)[2] for number in range(min(cores(), strata.chunks(size)))]
+    some = [strata.chunk(size, number)[2:] for number in range(min(cores(), strata.chunks(size)))]
     for compiled in (False, True):
         began = time.perf_counter()
-        list(each_of(lambda spots: jax.block_until_ready(own((np.uint32(0), spots))), some, compiled))
+        list(each_of(lambda spots: jax.block_until_ready(own((np.uint32(0), *spots))), some, compiled))
         spent = (time.perf_counter() - began) / max(len(some), 1)
     rounds = [count]
     if look.asks_scout(count, left):
@@ -240,7 +247,7 @@ def seconds_of(first: Pass, goal: Goal, look: Look) -> float:
 def _image_with_strata(first: Pass, number: int, strata: Strata, mesh: Mesh | None) -> Image:
     """An image of two rays in every pixel, with strata of their own in some."""
     taken = first._replace(number=as_number(number)).of(2)
-    pixels = over_items(estimate_chunk, every_pixel, taken, taken.chunks(), "render", mesh)
+    pixels = every_pixel(taken, stacked(estimate_chunk, taken.of_chunks(), taken.chunks(), "render", mesh))
     mean = 2 + 2 * (strata.count - 1).sum() / math.prod(first.camera.shape)
     return image_of_pixels(taken, with_strata(taken, pixels, strata), placed(np.int32(round(mean))))
 
@@ -261,7 +268,9 @@ def strata_of(count: Int[np.ndarray, "row column"], camera: Camera) -> Strata:
     order = np.lexsort((column, row, column // TILE, row // TILE))
     row, column = row[order], column[order]
     each = count[row, column]
-    return Strata(row, column, row * camera.shape[1] + column, each, np.ceil(np.sqrt(each) - 1e-9).astype(np.int64))
+    where = (camera.corner + np.stack([row, column], axis=1)).astype(camera.pixel.dtype)
+    columns = np.ceil(np.sqrt(each) - 1e-9).astype(np.int64)
+    return Strata(row, column, row * camera.shape[1] + column, where, each, columns)
 
 
 def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
@@ -271,13 +280,13 @@ def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
     if count.size == 0:
         return base
     sums: Any = None
-    own = of_items(_seen_at, taken)
+    own = of_items(_seen_at, taken.of_chunks())
 
     def seen_at(number: int) -> tuple[np.ndarray, np.ndarray, tuple[Seen, Varied, Varied]]:
         """Pixels of a chunk of strata, of which the last fill up the last chunk, and where each begins in it."""
-        pixel, place, spots = strata.chunk(size, number)
-        seen = jax.device_get(own((np.uint32(number), spots)))
-        mean, apart = jax.tree.map(lambda leaf: leaf[: strata.end[-1] - number * len(spots)], seen)
+        pixel, place, *spots = strata.chunk(size, number)
+        seen = jax.device_get(own((np.uint32(number), *spots)))
+        mean, apart = jax.tree.map(lambda leaf: leaf[: strata.end[-1] - number * size], seen)
         return pixel, place, (mean, apart, jax.tree.map(lambda leaf: np.square(leaf, dtype=np.float64), apart))
 
     with progress("render", chunks) as done:
@@ -314,14 +323,13 @@ def _add_by_pixel(pixel: np.ndarray, place: np.ndarray, total: np.ndarray, leaf:
 
 
 @program
-def _seen_at(taken: Pass, chunk: tuple[Array, Int[Array, "spot 4"]]) -> tuple[Seen, Varied]:
-    """Mean of two rays in each stratum of a chunk with its number, and half their difference.
+def _seen_at(taken: Pass, chunk: tuple[Array, Int[Array, "spot 4"], Float[Array, "spot 2"]]) -> tuple[Seen, Varied]:
+    """Mean of two rays in each stratum of a chunk with its number, and half their difference; of a pass `of_chunks`.
 
-    Of each stratum are given the number of its pixel, its own in it, and columns and rows of strata there.
+    Of each stratum are given the number of its pixel, its own in it, columns and rows of strata there, and where it is.
     """
-    camera, (number, spots) = taken.camera, chunk
+    camera, (number, spots, where) = taken.camera, chunk
     pixel, within, columns, rows = (spots[:, k] for k in range(4))
-    row, column = (place(pixel, jnp.int32(camera.shape[1])) for place in (lax.div, lax.rem))
     corner = [place(within, columns)[:, None] for place in (lax.rem, lax.div)]
     key = jax.random.fold_in(jax.random.fold_in(taken.key, OF_SPOTS), taken.number)
     for_pixels, for_spots = jax.random.split(key)
@@ -330,7 +338,7 @@ def _seen_at(taken: Pass, chunk: tuple[Array, Int[Array, "spot 4"]]) -> tuple[Se
     turn = jax.vmap(lambda key: jax.random.bits(key, (2,), jnp.uint32))(of_pixel)
     word = jax.random.bits(for_places, turn.shape, jnp.uint32)
     place = places_in(corner, [columns[:, None], rows[:, None]], turn, word)
-    screen = camera.points(row[:, None], column[:, None], place)
+    screen = camera.points(where[:, None], place)
     bundle = camera.bundle(screen.reshape(-1, 2), taken.lit.scene.start(camera))
     seen = jax.tree.map(lambda value: value.reshape((-1, 2, *value.shape[1:])), see(taken, bundle, for_paths))
     mean = jax.tree.map(lambda value: (value[:, 0] + value[:, 1]) / 2, seen)

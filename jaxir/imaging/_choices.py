@@ -87,17 +87,17 @@ def rays_to_see(first: Pass, goal: Goal) -> float:
     Of few, what is bright and small may be missed. What hides what is looked for only where something small seems to
     shine.
     """
-    lit, camera = first.lit, first.camera
+    lit, frame = first.lit, first.camera.undivided()
     missed = as_float(LEFT * np.array(goal.of_intensity))
 
     def wanted(in_sight: Array | None) -> float:
-        shown = what_shines(lit, camera, in_sight, missed)
+        shown = what_shines(lit, frame, in_sight, missed)
         patch, brightest = (np.asarray(area, np.float64).min() for area in shown)
-        area = np.prod(np.asarray(camera.pixel, np.float64))
+        area = np.prod(np.asarray(first.camera.pixel, np.float64))
         return float(area * max(MET / patch, HITS / brightest)) if patch > 0 else 0.0
 
     rays = wanted(None)
-    return wanted(faces_in_sight(lit, camera)) if rays > FEW and lit.scene.skin is not None else rays
+    return wanted(faces_in_sight(lit, frame)) if rays > FEW and lit.scene.skin is not None else rays
 
 
 def few_rays(wanted: float, most: int) -> int:

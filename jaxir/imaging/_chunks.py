@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -14,8 +15,9 @@ from jaxtyping import Array, Float, Int, Key
 from jaxir._arrays import Check, as_float, enforce, is_traced, on_host, placed
 from jaxir._math import at_once, in_kernels, on_cpu
 from jaxir._programs import program
-from jaxir.geometry import TILE, Bundle, Camera, pixel_strata, stratum_points, tile_rays, turns
+from jaxir.geometry import TILE, Bundle, Camera, stratum_points, tile_rays, turns
 from jaxir.geometry.search import MARGIN, may_see
+from jaxir.imaging._division import TILES, Chunk, Division, block_size, chunk_size, division
 from jaxir.imaging._entry import path_doubts, require_camera, require_parts
 from jaxir.imaging._estimate import Estimate, Seen, Varied, of_strata
 from jaxir.imaging._image import Image, image_of
@@ -37,43 +39,11 @@ from jaxir.transport import (
     with_scattered,
 )
 
-TILES = 256  # of a chunk at most
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in a processor's cache
-BLOCKS = 3  # in which the tiles of a chunk are traced at least on a CPU, so that those that see nothing are left out
 PARTS = 8  # chunks of a small image on a CPU, for so many devices to share
 QUICK = 2**20  # work of an image that one program takes whole: a call for each chunk takes .5 ms each
 FEWER = 4  # times fewer tiles at once where paths may be long
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
-TOGETHER = (1, 2, 4, 6, 8)  # strata whose rays may be traced side by side: bundles then cover fewer pixels and faces
-
-
-class Division(NamedTuple):
-    """How every pixel is cut.
-
-    Attributes:
-        cells: columns and rows of strata: an array where all is known, so that more of them compile nothing anew, and
-            numbers below transformations of JAX, which cannot turn round a loop whose end is data.
-        together: strata whose rays are traced side by side, where these are few enough.
-    """
-
-    cells: tuple[int, int] | Int[Array, "2"]
-    together: int
-
-    @property
-    def count(self) -> Any:
-        """Strata of a pixel."""
-        return self.cells[0] * self.cells[1]
-
-
-def division(samples: int, known: bool) -> Division:
-    """Pixels cut for so many rays, two in each stratum; `known` as in `Division`.
-
-    As many strata are traced together as cost least, if rays side by side cost as much as their number and one more;
-    the last time some may lie beyond the last stratum.
-    """
-    cells = pixel_strata(samples)
-    together = min(TOGETHER, key=lambda some: -(-cells[0] * cells[1] // some) * (some + 1))
-    return Division(placed(np.array(cells, np.int32)) if known else cells, together)
 
 
 def parts_for(devices: int = 1) -> int:
@@ -125,36 +95,30 @@ class Pass(NamedTuple):
         lacks = lattice_lacks(held.in_vacuum(), camera.undivided())
         return self._replace(lit=aimed(lit, self.camera), lacking=lattice_error(held, lacks))
 
+    def of_chunks(self) -> Pass:
+        """What is the same for images of all shapes: what `estimate_chunk` asks for."""
+        return self._replace(camera=self.camera.endless(), parts=0, lacking=None)
+
     @property
     def strata_at_once(self) -> int:
         """Strata of every pixel that are traced together."""
-        return self._cut()[0]
+        return self._limits()[1]
 
-    @property
-    def tiles_at_once(self) -> int:
-        """Tiles that are traced together, so that rays are at most those of `TILES_AT_ONCE` tiles."""
-        return self._cut()[1]
-
-    @property
-    def size(self) -> int:
-        """Tiles of a chunk: fewer where a ray carries many samples, and in images of less than `parts` full chunks."""
-        return self._cut()[2]
+    def tiles_at_once(self, size: int) -> int:
+        """Tiles of a chunk of so many that are traced together: rays are at most those of `TILES_AT_ONCE` tiles."""
+        return block_size(size, self._limits()[2])
 
     @property
     def spots(self) -> int:
         """Strata of single pixels that are traced together."""
-        return self._at_once(self._each) * TILE * TILE // 2
+        return self._limits()[0] * TILE * TILE // 2
 
-    def _cut(self) -> tuple[int, int, int]:
-        each = self._each
-        side_by_side, share = self._at_once(each), min(max(at_once(TILES) // each, 1), -(-self.tiles // self.parts))
+    def _limits(self) -> tuple[int, int, int, int]:
+        """Tiles' worth of rays, strata, and tiles that are traced together at most; tiles of a chunk at most."""
+        each, few = self._each, FEWER if self.method.bounces > 1 else 1  # most paths end soon, and all in many tiles
+        side_by_side = max(at_once(TILES_AT_ONCE) // (few * each), 1)
         strata = min(self.strata.together, max(side_by_side // 2, 1))
-        tiles = min(max(side_by_side // (2 * strata), 1), -(-share // (BLOCKS if on_cpu() else 1)))
-        return strata, tiles, tiles * -(-share // tiles)
-
-    def _at_once(self, each: int) -> int:
-        few = FEWER if self.method.bounces > 1 else 1  # most paths end soon, and all of them in many tiles
-        return max(at_once(TILES_AT_ONCE) // (few * each), 1)
+        return side_by_side, strata, max(side_by_side // (2 * strata), 1), max(at_once(TILES) // each, 1)
 
     @property
     def _each(self) -> int:
@@ -183,15 +147,26 @@ class Pass(NamedTuple):
     @property
     def tiles(self) -> int:
         """Tiles of the image."""
-        return self.camera.tiles[0] * self.camera.tiles[1]
+        return math.prod(self.camera.tiles)
 
-    def chunks(self) -> Int[np.ndarray, " chunk"]:
-        """Numbers of the chunks."""
-        return np.arange(-(-self.tiles // self.size), dtype=np.int32)
+    @property
+    def numbers(self) -> Int[np.ndarray, "chunk tile"]:
+        """Tiles of the chunks, spread over the image, so that chunks cost the same; some may lie beyond it.
 
-    def tile(self, chunk: Int[Array, ""] | int) -> Int[Array, " tile"]:
-        """Tiles of a chunk, spread over the image, so that chunks cost the same; the last may lie beyond it."""
-        return jnp.asarray(chunk, jnp.int32) + jnp.asarray(len(self.chunks()) * np.arange(self.size, dtype=np.int32))
+        Chunks are smaller where a ray carries many samples, and in images of less than `parts` full ones.
+        """
+        *_, together, most = self._limits()
+        size = chunk_size(-(-self.tiles // self.parts), most, together)
+        count = max(-(-self.tiles // size), min(self.parts, self.tiles))
+        return np.arange(count * size, dtype=np.int32).reshape(size, count).T
+
+    def chunks(self, least: int = 1) -> Chunk:
+        """The chunks, stacked, with empty ones where that makes so many."""
+        tile = self.numbers
+        if len(tile) < least:
+            tile = np.concatenate([tile, np.full((least - len(tile), tile.shape[1]), self.tiles, np.int32)])
+        number = np.arange(len(tile), dtype=np.int32)
+        return Chunk(number, self.camera.first_pixels(tile), tile < self.tiles)
 
 
 def first_pass(
@@ -239,14 +214,14 @@ def whole_image(taken: Pass, parts: Estimate) -> Image:
 
 @program
 def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
-    """The estimates [row, column, ...] of all chunks, stacked."""
-    camera = taken.camera
+    """The estimates [row, column, ...] of all chunks, stacked; empty ones may follow."""
+    camera, count = taken.camera, len(taken.numbers)
 
     def whole(value: Any) -> Any:
         if value is None:
             return None
-        of_tile = jnp.swapaxes(value.reshape((*value.shape[:3], -1)), 0, 1)
-        of_tile = of_tile.reshape((-1, *of_tile.shape[2:]))[: camera.tiles[0] * camera.tiles[1]]
+        of_tile = jnp.swapaxes(value[:count].reshape((count, *value.shape[1:3], -1)), 0, 1)
+        of_tile = of_tile.reshape((-1, *of_tile.shape[2:]))[: taken.tiles]
         return camera.untile(of_tile).reshape((*camera.shape, *value.shape[3:]))
 
     others = {name: whole(value) for name, value in parts._asdict().items() if name != "empty"}
@@ -265,37 +240,38 @@ def image_of_pixels(taken: Pass, pixels: Estimate, samples: int | Int[Array, ""]
 
 
 @program
-def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
+def estimate_chunk(taken: Pass, chunk: Chunk) -> Estimate:
     """Mean radiance, its variance, and what would be seen without the scene, in the pixels of one chunk of tiles.
 
-    Before a uniform background no ray is taken in tiles that see nothing of the scene.
+    Of a pass `of_chunks`. No ray is taken in tiles beyond the image, nor before a uniform background in those that see
+    nothing of the scene.
     """
     lit, camera = taken.lit, taken.camera
     uniform = taken.uniform
     empty = lit.nodes.in_band(lit.empty(camera.frame[:1, None])) if uniform else None
-    tile, together, start = taken.tile(chunk), taken.tiles_at_once, lit.scene.start(camera)
-    some = may_see(lit.scene.outline(), camera, tile) if uniform else jnp.ones(tile.shape, bool)
+    start, size = lit.scene.start(camera), chunk.first.shape[0]
+    some = chunk.there & may_see(lit.scene.outline(), camera, chunk.first) if uniform else chunk.there
     order = jnp.argsort(~some, stable=True)  # tiles that see something go together
 
     def block(own: tuple[Array, Array, Array]) -> tuple[Seen, Varied, Varied]:
-        tile, number, some = own
+        first, number, some = own
 
         def nothing() -> tuple[Seen, Varied, Varied]:
-            dark = _dark(taken, empty)
-            assert empty is not None
-            parts = dark.parts
+            dark = _dark(taken, together, empty)
+            none, parts = Varied(dark.radiance, dark.parts), dark.parts
+            if empty is None:
+                return dark, none, none
             if parts is not None and taken.components is not None:
                 parts = parts + lit.nodes.in_band(empty_components(lit, taken.components, camera.frame[0]))[None, None]
-            none = Varied(dark.radiance, dark.parts)
             return dark._replace(radiance=dark.radiance + empty, parts=parts), none, none
 
-        if not uniform:
-            return _estimate(taken, tile, key, number, start, empty)
-        return lax.cond(some, lambda: _estimate(taken, tile, key, number, start, empty), nothing)
+        return lax.cond(some, lambda: _estimate(taken, first, key, number, start, empty), nothing)
 
-    blocks, number = (-1, together), jnp.arange(tile.shape[0] // together, dtype=jnp.int32)
-    key = jax.random.fold_in(jax.random.fold_in(taken.key, taken.number), chunk)
-    every = lax.map(block, (tile[order].reshape(blocks), number, jnp.any(some[order].reshape(blocks), axis=1)))
+    together = taken.tiles_at_once(size)
+    blocks, number = size // together, jnp.arange(size // together, dtype=jnp.int32)
+    key = jax.random.fold_in(jax.random.fold_in(taken.key, taken.number), chunk.number)
+    first, some = chunk.first[order].reshape(blocks, together, 2), some[order].reshape(blocks, together)
+    every = lax.map(block, (first, number, jnp.any(some, axis=1)))
     back = jnp.argsort(order)
     mean, variance, within = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:]))[back], every)
     seen = mean.empty if empty is None else empty
@@ -303,9 +279,9 @@ def estimate_chunk(taken: Pass, chunk: Int[Array, ""]) -> Estimate:
     return Estimate(*own, mean.parts, variance.parts, within.parts)
 
 
-def _dark(taken: Pass, empty: Array | None) -> Seen:
-    """No light in the pixels of the tiles that are handled at once."""
-    pixels = (taken.tiles_at_once, TILE * TILE)
+def _dark(taken: Pass, tiles: int, empty: Array | None) -> Seen:
+    """No light in the pixels of some tiles."""
+    pixels = (tiles, TILE * TILE)
     bands, dtype = taken.lit.nodes.response.shape[0], taken.camera.pixel.dtype
     zero = jnp.zeros((*pixels, bands), dtype)
     orders = None if not taken.method.samples_particles(taken.lit.scene) else jnp.zeros((*pixels, 2, bands), dtype)
@@ -315,7 +291,7 @@ def _dark(taken: Pass, empty: Array | None) -> Seen:
 
 def _estimate(
     taken: Pass,
-    tile: Int[Array, " tile"],
+    first: Float[Array, "tile 2"],
     key: Key[Array, ""],
     number: Int[Array, ""],
     start: Float[Array, ""],
@@ -325,15 +301,15 @@ def _estimate(
 
     `number` of the tiles tells their random numbers from those of others with the same key.
     """
-    camera, count, size, some = taken.camera, taken.strata.count, tile.shape[0], taken.strata_at_once
+    camera, count, size, some = taken.camera, taken.strata.count, first.shape[0], taken.strata_at_once
     turn = turns(jax.random.fold_in(key, -1 - number), size)
 
     def group(step: Array, carry: tuple[Seen, Varied, Varied]) -> tuple[Seen, Varied, Varied]:
-        first = step.astype(jnp.int32) * some
-        for_pixels, for_paths = jax.random.split(jax.random.fold_in(key, number * count + first))
-        index = first + jnp.arange(some, dtype=jnp.int32)
+        begin = step.astype(jnp.int32) * some
+        for_pixels, for_paths = jax.random.split(jax.random.fold_in(key, number * count + begin))
+        index = begin + jnp.arange(some, dtype=jnp.int32)
         offset = stratum_points(for_pixels, turn, index, taken.strata.cells)
-        bundle = tile_rays(camera, tile, offset, start)
+        bundle = tile_rays(camera, first, offset, start)
         seen = jax.tree.map(
             lambda value: value.reshape((size, TILE * TILE, some, 2, *value.shape[1:])),
             see(taken, bundle, for_paths),
@@ -349,7 +325,7 @@ def _estimate(
         apart, square = jax.tree.map(added, half), jax.tree.map(lambda value: added(value**2), half)
         return jax.tree.map(jnp.add, carry, (mean, apart, square))
 
-    dark = _dark(taken, empty)
+    dark = _dark(taken, size, empty)
     none = Varied(dark.radiance, dark.parts)
     loop = 0, -(-count // some), group, (dark, none, none)  # which can be turned round if the end is static
     total, apart, square = lax.fori_loop(*loop)

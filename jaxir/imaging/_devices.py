@@ -50,20 +50,18 @@ def shared_by(devices: Any, items: int, what: str) -> Mesh | None:
     return Mesh(devices.devices, (AXIS,))
 
 
-def over_items(
+def stacked(
     function: Callable[[Any, Any], Any],
-    whole: Callable[[Any, Any], Any],
     inputs: Any,
     items: Any,
     label: str,
     devices: Mesh | None = None,
     quick: bool = False,
 ) -> Any:
-    """`whole(inputs, results)` of the results of `function(inputs, item)` for every item.
+    """The results [item, ...] of `function(inputs, item)` for every item.
 
     Args:
         function: of a module, so that it is compiled once.
-        whole: of a module, too; results come stacked [item, ...].
         inputs: a pytree; its arrays may be traced.
         items: a pytree of arrays [item, ...]; may be traced.
         label: of the progress bar.
@@ -71,38 +69,20 @@ def over_items(
         quick: whether all items together take no longer than a few calls.
 
     Returns:
-        What `whole` makes: of one program where inputs are traced, which is compiled once for each structure, or on one
-        device all is quick; else of a loop on the host.
+        The results: of one program where inputs are traced, which is compiled once for each structure, or on one device
+        all is quick; else of a loop on the host, which compiles nothing anew for another number of items.
 
-    Differentiable in inputs and items as the two functions are.
+    Differentiable in inputs and items as the function is.
     """
     if is_traced((inputs, items)):
-        return _in_one_program(function, whole, inputs, jax.tree.map(placed, items), devices)
+        return _in_one_program(function, inputs, jax.tree.map(placed, items), devices)
     if quick and devices is None:
         with progress(label, 1):
-            return _in_one_program(function, whole, inputs, jax.tree.map(placed, items), None)
-    return _joined(whole, inputs, _results(function, inputs, items, label, devices), devices is not None)
-
-
-def stacked(
-    function: Callable[[Any, Any], Any], inputs: Any, items: Any, label: str, devices: Mesh | None = None
-) -> Any:
-    """Results of `function(inputs, item)` [item, ...], as `over_items`; how many there are compiles nothing anew."""
-    if is_traced((inputs, items)):
-        return over_items(function, _as_found, inputs, items, label, devices)
+            return _in_one_program(function, inputs, jax.tree.map(placed, items), None)
     join = np.stack if devices is None else np.concatenate
-    results = _results(function, inputs, items, label, devices)
-    return jax.tree.map(lambda *leaves: placed(join([np.asarray(leaf) for leaf in leaves])), *results)
-
-
-def _as_found(inputs: Any, results: Any) -> Any:
-    return results
-
-
-def _results(
-    function: Callable[[Any, Any], Any], inputs: Any, items: Any, label: str, devices: Mesh | None
-) -> list[Any]:
-    return [part for _, part in item_by_item(function, inputs, jax.tree.map(np.asarray, items), label, devices)]
+    found = item_by_item(function, inputs, jax.tree.map(np.asarray, items), label, devices)
+    every = [result for _, result in found]
+    return jax.tree.map(lambda *leaves: placed(join([np.asarray(leaf) for leaf in leaves])), *every)
 
 
 def _count(items: Any) -> int:
@@ -112,23 +92,16 @@ def _count(items: Any) -> int:
 @program
 def _in_one_program(
     function: Callable[[Any, Any], Any],
-    whole: Callable[[Any, Any], Any],
     inputs: Any,
     items: Any,
     devices: Mesh | None,
 ) -> Any:
     if devices is None:
-        return whole(inputs, lax.map(lambda item: function(inputs, item), items))
+        return lax.map(lambda item: function(inputs, item), items)
     count = _count(items)
     rows = jnp.asarray(_rows(np.arange(count), devices.size))
     every = lax.map(lambda row: _on_devices(function, inputs, _at(items, row), devices), rows)
-    return whole(inputs, jax.tree.map(lambda leaf: leaf.reshape((-1,) + leaf.shape[2:])[:count], every))
-
-
-@program
-def _joined(whole: Callable[[Any, Any], Any], inputs: Any, results: list[Any], rows: bool) -> Any:
-    join = jnp.concatenate if rows else jnp.stack
-    return whole(inputs, jax.tree.map(lambda *leaves: join(leaves), *results))
+    return jax.tree.map(lambda leaf: leaf.reshape((-1,) + leaf.shape[2:])[:count], every)
 
 
 def item_by_item(
@@ -143,7 +116,7 @@ def item_by_item(
     One by one with the result of one, or with `devices` one of each and the results stacked [item, ...].
 
     Args:
-        function: as in `over_items`, and so on.
+        function: as in `stacked`, and so on.
         inputs: a pytree.
         items: a pytree of arrays of numpy [item, ...].
         label: of the progress bar.

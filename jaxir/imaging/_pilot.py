@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Int
 
 from jaxir._arrays import as_float
 from jaxir._concurrent import cores, each_of
 from jaxir._programs import of_items
-from jaxir.imaging._chunks import Pass, as_number, estimate_chunk
+from jaxir.imaging._chunks import Chunk, Pass, as_number, estimate_chunk
 from jaxir.imaging._estimate import Estimate, by_strata
 from jaxir.imaging._image import share_left_out
 
@@ -45,28 +44,33 @@ class Pilot(NamedTuple):
 def pilot(taken: Pass) -> Pilot:
     """Compute some chunks of a pass; each is a systematic sample of the image's tiles, so few stand for all."""
     chunks, taken = taken.chunks(), taken._replace(number=as_number(OF_PILOTS))
-    of, together = of_items(estimate_chunk, taken), cores()
-    compiled = _timed(of, chunks[:1])[1]
-    chosen = np.unique(np.linspace(0, len(chunks) - 1, CHUNKS).astype(np.int32))
+    of, together, count = of_items(estimate_chunk, taken.of_chunks()), cores(), len(chunks.number)
+    compiled = _timed(of, _at(chunks, [0]))[1]
+    chosen = np.unique(np.linspace(0, count - 1, CHUNKS).astype(np.int32))
     sums, times = [], []
     for begin in range(0, len(chosen), together):
         some = chosen[begin : begin + together]
-        estimates, spent = _timed(of, some)
-        spent = spent if spent > QUICK else min(spent, _timed(of, some)[1])
+        estimates, spent = _timed(of, _at(chunks, some))
+        spent = spent if spent > QUICK else min(spent, _timed(of, _at(chunks, some))[1])
         times += [spent / len(some)] * len(some)
         sums += [_contribution(taken, int(index), one) for index, one in zip(some, estimates, strict=True)]
         if sum(times) > SECONDS:
             break
-    every = (np.mean(part, axis=0) * len(chunks) for part in zip(*sums, strict=True))
+    every = (np.mean(part, axis=0) * count for part in zip(*sums, strict=True))
     intensity, variance, within, alike, among, orders = every
     share = by_strata(alike, among)
     variance = (1 - share) * variance + share * within
     sampled = taken.method.samples_particles(taken.lit.scene)
     left = np.asarray(share_left_out(as_float(orders) if sampled else None, taken.lacking, as_float(intensity)))
-    return Pilot(intensity, variance, float(np.mean(times)) * len(chunks), compiled, left)
+    return Pilot(intensity, variance, float(np.mean(times)) * count, compiled, left)
 
 
-def _timed(of: Callable[[Array], Estimate], chunks: Int[np.ndarray, " chunk"]) -> tuple[list[Estimate], float]:
+def _at(chunks: Chunk, some: Iterable[Any]) -> list[Chunk]:
+    """Those of stacked chunks."""
+    return [Chunk(*(leaf[number] for leaf in chunks)) for number in some]
+
+
+def _timed(of: Callable[[Chunk], Estimate], chunks: list[Chunk]) -> tuple[list[Estimate], float]:
     """Chunks, and the seconds that they took together."""
     began = time.perf_counter()
     every = each_of(lambda chunk: jax.block_until_ready(of(chunk)), chunks, ready=len(chunks) > 1)
@@ -80,7 +84,7 @@ def _contribution(taken: Pass, chunk: int, estimate: Estimate) -> tuple[np.ndarr
     Intensity, its variance, that within strata, what tells of their share, see `by_strata`, [band] each; and the last
     two orders of scattering [2, band].
     """
-    index = np.asarray(taken.camera.pixel_index(taken.tile(chunk)))
+    index = taken.camera.pixel_index(taken.numbers[chunk])
     area = np.append(np.asarray(taken.camera.pixel_area(), np.float64).ravel(), 0.0)[index][:, :, None]
     found = estimate.mean, estimate.variance, estimate.within, estimate.empty
     mean, variance, within, empty = (np.asarray(leaf, np.float64) for leaf in found)

@@ -28,7 +28,8 @@ from jaxir.imaging._choices import (
     with_bounces,
     with_skin_light,
 )
-from jaxir.imaging._chunks import Pass, as_number, division, first_pass, parts_for
+from jaxir.imaging._chunks import Pass, as_number, first_pass, parts_for
+from jaxir.imaging._division import division
 from jaxir.imaging._left_out import further, left_out, lights_its_skin
 from jaxir.imaging._tolerance import Goal, Tolerance, goal_of
 from jaxir.optics.spectrum import Band, Nodes
@@ -231,7 +232,7 @@ def _along_the_ray(lit: Lit, camera: Camera) -> list[Term]:
     if lit.medium is None:
         return []
     each = ", ".join(plume.described() for plume in lit.scene.plumes)
-    depth = float(_depth(lit, camera))
+    depth = float(_depth(lit, camera.undivided()))
     sentence = f"{each}: integrated along every ray, no sampling; the largest optical depth is {depth:.2g}"
     return [Term("Plume", True, sentence)]
 

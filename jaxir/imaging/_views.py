@@ -19,15 +19,14 @@ from jaxir._programs import program
 from jaxir.geometry import Camera, in_front, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
 from jaxir.imaging._chunks import (
-    Division,
     Pass,
-    division,
     estimate_chunk,
     eye_outside,
     parts_for,
     whole_image,
 )
 from jaxir.imaging._devices import shared_by, stacked
+from jaxir.imaging._division import Division, division
 from jaxir.imaging._entry import path_doubts, require_parts
 from jaxir.imaging._left_out import Asked
 from jaxir.imaging._planning import way_for_views
@@ -384,6 +383,7 @@ def view_intensity(shared: Shared, look: Look) -> tuple[Array, ...]:
     lit, camera, key = shared.lit, look.camera, jax.random.fold_in(shared.key, look.view)
     own = key, jnp.asarray(look.number, jnp.uint32), shared.strata, shared.method, parts_for()
     taken = Pass(aimed(lit, camera), camera, *own, components=shared.components, lacking=look.lacking)
-    image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken, chunk), jnp.asarray(taken.chunks())))
+    chunks = jax.tree.map(jnp.asarray, taken.chunks())
+    image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken.of_chunks(), chunk), chunks))
     parts = () if shared.components is None else (image.component_intensity(), image.component_error())
     return image.radiant_intensity(), image.intensity_error(), image.truncation, image.contrast(), *parts

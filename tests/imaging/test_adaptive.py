@@ -189,7 +189,7 @@ def test_a_target_smaller_than_a_pixel_is_found(asked, request):
     if "samples" not in asked:
         request.getfixturevalue("one_program")
     scene = jaxir.Scene(jaxir.Skin(box_mesh(), 320.0, jaxir.Lambert(0.7)))
-    camera = jaxir.orthographic_camera(35.0, 25.0, 2.3, (16, 16))
+    camera = jaxir.orthographic_camera(35.0, 25.0, 2.3, (6, 6))
     exact = float(jaxir.unoccluded_intensity(scene, 35.0, 25.0, jaxir.MWIR)[0])
     images = [jaxir.render(scene, camera, jaxir.MWIR, key=jax.random.key(key), **asked) for key in range(24)]
     apart = np.array([float(image.radiant_intensity()[0]) / exact - 1 for image in images])
@@ -198,7 +198,7 @@ def test_a_target_smaller_than_a_pixel_is_found(asked, request):
     assert abs(apart.mean()) < 4 * apart.std(ddof=1) / len(apart) ** 0.5
     few = jaxir.render(scene, camera, jaxir.MWIR, max_samples=16, **asked)
     assert bool(few.outcome == jaxir.Outcome.samples_spent)  # which may miss it
-    beside = jaxir.orthographic_camera(35.0, 25.0, 2.3, (16, 16), target=(0.0, 90.0, 0.0))
+    beside = jaxir.orthographic_camera(35.0, 25.0, 2.3, (6, 6), target=(0.0, 90.0, 0.0))
     image = jaxir.render(scene, beside, jaxir.MWIR, **asked)
     assert bool(image.outcome == jaxir.Outcome.tolerance_met) and int(image.samples) <= 8
     assert float(image.radiant_intensity()[0]) == 0

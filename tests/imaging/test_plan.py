@@ -9,7 +9,7 @@ import jaxir
 from jaxir.geometry import pixel_strata
 from jaxir.imaging import ErrorLaw, Pilot, _choices, error_law, estimate_chunk, pilot, well_shaped, whole_image
 from jaxir.imaging._chunks import as_number, first_pass
-from jaxir.imaging._devices import over_items
+from jaxir.imaging._devices import stacked
 from jaxir.imaging._pilot import OF_PILOTS
 from tests.scenes import gray_box, plate
 
@@ -123,7 +123,7 @@ def test_a_pilot_of_all_chunks_is_the_image():
     taken = first_pass(SUNLIT, CAMERA, jaxir.LWIR, jax.random.key(5), 24, jaxir.Method())
     seen = pilot(taken)
     same = taken._replace(number=as_number(OF_PILOTS))
-    image = over_items(estimate_chunk, whole_image, same, same.chunks(), "image")
+    image = whole_image(same, stacked(estimate_chunk, same.of_chunks(), same.chunks(), "image"))
     np.testing.assert_allclose(seen.intensity, image.radiant_intensity(), rtol=1e-5)
     np.testing.assert_allclose(seen.variance, image.intensity_error() ** 2, rtol=1e-4)
 

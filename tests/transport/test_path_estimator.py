@@ -152,9 +152,9 @@ def test_thinning_is_the_difference_of_the_phis(x64):
 
 @eqx.filter_jit
 def rays_of_a_tile(scene, camera, samples):
-    offset, tile = pixel_samples(jax.random.key(3), 1, samples), jnp.zeros(1, jnp.int32)
-    bundle = tile_rays(camera, tile, offset, scene.start(camera))
-    return bundle, camera.pixel_index(tile).reshape(-1), camera.pixel_area()
+    offset, first = pixel_samples(jax.random.key(3), 1, samples), jnp.asarray(camera.first_pixels())
+    bundle = tile_rays(camera, first, offset, scene.start(camera))
+    return bundle, jnp.asarray(camera.pixel_index()).reshape(-1), camera.pixel_area()
 
 
 def camera_rays(scene, camera, samples):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxir._math import dot, radius_about
 from jaxir.geometry import TILE, Camera
@@ -48,14 +48,14 @@ def clear_of(boxes: Float[Array, "row 96"], points: Float[Array, "point 3"], cam
     )
 
 
-def may_see(boxes: Float[Array, "row 96"], camera: Camera, tile: Int[Array, " tile"]) -> Bool[Array, " tile"]:
-    """Whether pixels of tiles may see what lies in the boxes: where not, they do not; all where a box is at the eye."""
+def may_see(boxes: Float[Array, "row 96"], camera: Camera, first: Float[Array, "tile 2"]) -> Bool[Array, " tile"]:
+    """Whether tiles of `Camera.first_pixels` may see what lies in the boxes; all of them where a box is at the eye."""
     before = front_of(boxes, camera.frame[2], camera.target) * camera.inverse_range < NEAREST
     travel = travel_of(camera.frame)
     seen = project_boxes(boxes, travel, dot(travel, -camera.target[None]), camera.inverse_range)
     left, right, bottom, top = (seen[None, :, k * WIDTH : (k + 1) * WIDTH] for k in range(4))
-    corner = jnp.zeros((tile.shape[0], TILE * TILE, 2), seen.dtype)
-    ends = camera.screen(tile, corner)[:, 0], camera.screen(tile, corner + 1)[:, -1]
+    corner = jnp.zeros((first.shape[0], TILE * TILE, 2), seen.dtype)
+    ends = camera.screen(first, corner)[:, 0], camera.screen(first, corner + 1)[:, -1]
     begin, end = (side.T[:, :, None, None] for side in (jnp.minimum(*ends), jnp.maximum(*ends)))
     some = jnp.any((left <= end[0]) & (right >= begin[0]) & (bottom <= end[1]) & (top >= begin[1]), axis=(1, 2))
     return some | ~before

@@ -23,8 +23,8 @@ def visible_faces(mesh: Mesh, camera: Camera) -> Int[Array, "row column"]:
     Returns:
         Face [row, column]. Not differentiable.
     """
-    tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
-    middle = jnp.full((tile.shape[0], TILE * TILE, 2), 0.5, camera.pixel.dtype)
+    first = jnp.asarray(camera.first_pixels())
+    middle = jnp.full((first.shape[0], TILE * TILE, 2), 0.5, camera.pixel.dtype)
     start = clear_of(mesh.outline(WIDTH), mesh.vertices, camera)
-    hit = closest_hit(mesh, camera.bundle(camera.screen(tile, middle).reshape(-1, 2), start))
+    hit = closest_hit(mesh, camera.bundle(camera.screen(first, middle).reshape(-1, 2), start))
     return camera.untile(hit.face.reshape(middle.shape[:2]))

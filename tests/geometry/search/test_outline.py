@@ -46,7 +46,7 @@ def test_an_eye_among_the_boxes_but_outside_the_sphere_of_the_vertices_still_has
         camera = eqx.tree_at(lambda c: c.target, camera, jnp.zeros(3))
         front = front_of(scene.outline(WIDTH), camera.frame[2], jnp.zeros(3))
         away = eqx.tree_at(lambda c: c.pixel, camera, camera.pixel * 10)  # a box at the eye may be seen anywhere
-        return scene.start(camera), front, may_see(scene.outline(), away, jnp.arange(1, dtype=jnp.int32))
+        return scene.start(camera), front, may_see(scene.outline(), away, jnp.asarray(away.first_pixels()))
 
     start, front, seen = map(np.asarray, looked())
     assert reach < start < 1.005 * reach < front
@@ -66,11 +66,11 @@ def test_rays_of_tiles_that_see_nothing_meet_nothing(distance, graded):
         if graded:
             grading = Grading(*map(jnp.float32, edges))
             camera = eqx.tree_at(lambda c: c.grading, camera, grading, is_leaf=lambda x: x is None)
-        tile = jnp.arange(camera.tiles[0] * camera.tiles[1], dtype=jnp.int32)
-        offset = pixel_samples(key, len(tile), 8).reshape(8, len(tile), -1, 2)
-        screen = jax.vmap(lambda o: camera.screen(tile, o))(offset)
+        first = jnp.asarray(camera.first_pixels())
+        offset = pixel_samples(key, len(first), 8).reshape(8, len(first), -1, 2)
+        screen = jax.vmap(lambda o: camera.screen(first, o))(offset)
         bundle = camera.bundle(screen.reshape(-1, 2), jnp.asarray(8.0))
-        return may_see(mesh.outline(4096), camera, tile), bundle
+        return may_see(mesh.outline(4096), camera, first), bundle
 
     some, bundle = looked(np.float32(distance), jax.random.key(0))
     some, hit = np.asarray(some), np.asarray(closest_hit(mesh, bundle).face) >= 0
