@@ -9,6 +9,7 @@ import argparse
 import time
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 from tqdm import tqdm
@@ -48,7 +49,7 @@ def one_pass(scene, nodes, samples=2, bounces=0) -> tuple[float, float]:
     whole = first_pass(scene, camera, nodes, jax.random.key(0), samples, method)
     chunks = list(map(Chunk, *whole.chunks()))
     whole = whole.of_chunks()
-    compiled = estimate_chunk.lower(whole, chunks[0]).compile()
+    compiled = eqx.filter_jit(estimate_chunk.__wrapped__).lower(whole, chunks[0]).compile()
     memory = compiled.compiled.memory_analysis().temp_size_in_bytes / 1e6
     jax.block_until_ready(compiled(whole, chunks[0]))
     times = []
