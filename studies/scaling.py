@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 import jaxir
 from jaxir.geometry import fitted_camera
-from jaxir.imaging import Chunk, estimate_chunk, first_pass
+from jaxir.imaging import estimate_chunk, first_pass
 from studies._study import Run, study, subplots
 from studies.aircraft import generic_aircraft
 
@@ -47,7 +47,7 @@ def one_pass(scene, nodes, samples=2, bounces=0) -> tuple[float, float]:
     camera = fitted_camera(40.0, 20.0, scene.extent(), (PIXELS, PIXELS))
     method = jaxir.Method(jaxir.DirectSampling(1, 0), bounces).resolved(scene)
     whole = first_pass(scene, camera, nodes, jax.random.key(0), samples, method)
-    chunks = list(map(Chunk, *whole.chunks()))
+    chunks = whole.chunks().each()
     whole = whole.of_chunks()
     compiled = eqx.filter_jit(estimate_chunk.__wrapped__).lower(whole, chunks[0]).compile()
     memory = compiled.compiled.memory_analysis().temp_size_in_bytes / 1e6

@@ -105,9 +105,12 @@ class Camera(eqx.Module):
 
     def first_pixels(self, tile: Int[np.ndarray, "*tile"] | None = None) -> Float[np.ndarray, "*tile 2"]:
         """Row and column of the first pixel of tiles [*tile, 2], as from `corner`: of all, or by index, row by row."""
+        return (self.corner + self._first(tile)).astype(self.pixel.dtype)
+
+    def _first(self, tile: Int[np.ndarray, "*tile"] | None) -> Int[np.ndarray, "*tile 2"]:
+        """As `first_pixels`, from that of the image."""
         tile = np.arange(self.tiles[0] * self.tiles[1]) if tile is None else tile
-        corner = self.corner + TILE * np.stack(np.divmod(tile, self.tiles[1]), axis=-1)
-        return corner.astype(self.pixel.dtype)
+        return TILE * np.stack(np.divmod(tile, self.tiles[1]), axis=-1)
 
     def screen(
         self, first: Float[Array, "tile 2"], offset: Float[Array, "tile pixel 2"]
@@ -190,8 +193,7 @@ class Camera(eqx.Module):
 
     def pixel_index(self, tile: Int[np.ndarray, " tile"] | None = None) -> Int[np.ndarray, "tile pixel"]:
         """row * columns + column of every pixel of tiles, as of `first_pixels`, -1 beyond the image's edge."""
-        first = (self.first_pixels(tile) - self.corner).astype(np.int32)
-        row, column = np.moveaxis(first[:, None] + _PIXELS, -1, 0)
+        row, column = np.moveaxis(self._first(tile)[:, None] + _PIXELS, -1, 0)
         index = np.where((row < self.shape[0]) & (column < self.shape[1]), row * self.shape[1] + column, -1)
         return index.astype(np.int32)
 

@@ -6,7 +6,6 @@ from jaxir.imaging._chunks import estimate_chunk as estimate_chunk
 from jaxir.imaging._chunks import first_pass as first_pass
 from jaxir.imaging._chunks import whole_image as whole_image
 from jaxir.imaging._devices import shared_by as shared_by
-from jaxir.imaging._division import Chunk as Chunk
 from jaxir.imaging._division import division as division
 from jaxir.imaging._faces import unoccluded_intensity as unoccluded_intensity
 from jaxir.imaging._image import Image as Image

@@ -64,6 +64,10 @@ class Chunk(NamedTuple):
     first: Float[Any, "*chunk tile 2"]
     there: Bool[Any, "*chunk tile"]
 
+    def each(self) -> list[Chunk]:
+        """Stacked ones one by one."""
+        return list(map(Chunk, *self))
+
 
 def chunk_size(share: int, most: int, together: int) -> int:
     """Tiles of a chunk: `share`, `most` at most; rounded up to one of `SIZES`, on a card to blocks of `together`."""
@@ -78,5 +82,5 @@ def chunk_size(share: int, most: int, together: int) -> int:
 def block_size(size: int, together: int) -> int:
     """Tiles of a chunk of so many that are traced together, `together` at most: a divisor of its size."""
     if on_cpu():
-        return max(2**k for k in range(9) if 2**k <= min(together, max(size // BLOCKS, 1)))
+        return 1 << min(together, max(size // BLOCKS, 1)).bit_length() - 1
     return min(together, size)

@@ -183,8 +183,7 @@ def repeated(
     """
     if goal.seconds < math.inf:  # so that no pass is timed while it compiles
         taken = first.of(samples)
-        one = jax.tree.map(lambda leaf: leaf[0], taken.chunks())
-        jax.block_until_ready(of_items(estimate_chunk, taken.of_chunks())(one))
+        jax.block_until_ready(of_items(estimate_chunk, taken.of_chunks())(taken.chunks().each()[0]))
     image, more, spent, count, worst = None, samples, 0.0, 0, np.zeros(())
     while True:
         began = time.perf_counter()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -43,15 +43,16 @@ class Pilot(NamedTuple):
 
 def pilot(taken: Pass) -> Pilot:
     """Compute some chunks of a pass; each is a systematic sample of the image's tiles, so few stand for all."""
-    chunks, taken = taken.chunks(), taken._replace(number=as_number(OF_PILOTS))
-    of, together, count = of_items(estimate_chunk, taken.of_chunks()), cores(), len(chunks.number)
-    compiled = _timed(of, _at(chunks, [0]))[1]
+    chunks, taken = taken.chunks().each(), taken._replace(number=as_number(OF_PILOTS))
+    of, together, count = of_items(estimate_chunk, taken.of_chunks()), cores(), len(chunks)
+    compiled = _timed(of, chunks[:1])[1]
     chosen = np.unique(np.linspace(0, count - 1, CHUNKS).astype(np.int32))
     sums, times = [], []
     for begin in range(0, len(chosen), together):
         some = chosen[begin : begin + together]
-        estimates, spent = _timed(of, _at(chunks, some))
-        spent = spent if spent > QUICK else min(spent, _timed(of, _at(chunks, some))[1])
+        own = [chunks[number] for number in some]
+        estimates, spent = _timed(of, own)
+        spent = spent if spent > QUICK else min(spent, _timed(of, own)[1])
         times += [spent / len(some)] * len(some)
         sums += [_contribution(taken, int(index), one) for index, one in zip(some, estimates, strict=True)]
         if sum(times) > SECONDS:
@@ -63,11 +64,6 @@ def pilot(taken: Pass) -> Pilot:
     sampled = taken.method.samples_particles(taken.lit.scene)
     left = np.asarray(share_left_out(as_float(orders) if sampled else None, taken.lacking, as_float(intensity)))
     return Pilot(intensity, variance, float(np.mean(times)) * count, compiled, left)
-
-
-def _at(chunks: Chunk, some: Iterable[Any]) -> list[Chunk]:
-    """Those of stacked chunks."""
-    return [Chunk(*(leaf[number] for leaf in chunks)) for number in some]
 
 
 def _timed(of: Callable[[Chunk], Estimate], chunks: list[Chunk]) -> tuple[list[Estimate], float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,20 +25,6 @@ from jaxir.io.scene_file._entries import (
 )
 from jaxir.optics.surface import AbstractBrdf, joined_brdf
 from jaxir.scene import Skin
-
-
-class Change(NamedTuple):
-    """What an entry of `parts` says.
-
-    Attributes:
-        key: of the entry.
-        part: its name.
-        what: it gives, of temperature and brdf.
-    """
-
-    key: str
-    part: str
-    what: tuple[str, ...]
 
 
 def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> tuple[Skin, tuple[str, ...]]:
@@ -67,13 +53,13 @@ def read_skin(entry: Entry, readers: Mapping[str, Reader]) -> tuple[Skin, tuple[
     brdfs: list[AbstractBrdf] = []
     notes: list[str] = []
     changes = keys["parts"].items() if "parts" in keys else []
-    changed: list[Change] = []
+    changed: list[Entry] = []
     for change in [everywhere, *changes]:
         faces, given = np.arange(body.mesh.count), change.children()
         if change is not everywhere:
             before, (faces, body) = body, _faces(change, body, readers)
             notes += _taken(change, faces, before, changed)
-            changed.append(Change(change.key, given["name"].value, tuple(set(given) & {"temperature", "brdf"})))
+            changed.append(change)
         if "temperature" in given:
             temperature[faces] = face_temperature(given["temperature"], body.mesh, faces, readers, notes)
         if "brdf" in given:
@@ -122,16 +108,18 @@ def _faces(change: Entry, body: Body, readers: Mapping[str, Reader]) -> tuple[np
     return faces, body._replace(**new_part(name, faces, body.part, names))
 
 
-def _taken(change: Entry, faces: np.ndarray, body: Body, before: list[Change]) -> list[str]:
+def _taken(change: Entry, faces: np.ndarray, body: Body, before: list[Entry]) -> list[str]:
     """What an entry takes of the parts that entries before it changed, of the body that these left.
 
     Raises:
         ValueError: it leaves such a part no face, or changes again what one of them did.
     """
     given, notes = change.children(), []
-    for key, name, what in before:
+    for earlier in before:
+        key, its = earlier.key, earlier.children()
+        name = its["name"].value
         if "faces" not in given and given["name"].value == name:
-            if twice := set(what) & set(given):
+            if twice := {"temperature", "brdf"} & set(its) & set(given):
                 raise given["name"].wrong(f"another part: {key} has its {' and '.join(sorted(twice))}")
             continue
         part = body.part == body.part_names.index(name)
