@@ -142,7 +142,7 @@ class Look(NamedTuple):
         return added > MANY * self.taken and self.each * added < seconds / 2
 
 
-def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = None, alone: bool = False) -> Image:
+def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = None) -> Image:
     """An image of as many rays in every pixel.
 
     Args:
@@ -150,12 +150,9 @@ def even_image(taken: Pass, number: int, samples: int = 2, mesh: Mesh | None = N
         number: of the pass, which decides its random numbers.
         samples: rays per pixel.
         mesh: devices that share it, of `shared_by`.
-        alone: whether no other image is made of its chunks' program: if it is small, one program makes all of it.
     """
     taken = taken._replace(number=as_number(number)).of(samples)
-    quick = alone and taken.quick
-    chunks = taken.chunks(taken.parts if quick else 1)
-    return whole_image(taken, stacked(estimate_chunk, taken.of_chunks(), chunks, "render", mesh, quick))
+    return whole_image(taken, stacked(estimate_chunk, taken.of_chunks(), taken.chunks(), "render", mesh))
 
 
 def looks(few: int) -> int:

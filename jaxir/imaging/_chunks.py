@@ -41,7 +41,7 @@ from jaxir.transport import (
 
 TILES_AT_ONCE = 32  # 8192 rays: bounds memory whatever the image, and what they need stays in a processor's cache
 PARTS = 8  # chunks of a small image on a CPU, for so many devices to share
-QUICK = 2**20  # work of an image that one program takes whole: a call for each chunk takes .5 ms each
+QUICK = 2**17  # work of an image of few chunks: a call for each takes .5 ms
 FEWER = 4  # times fewer tiles at once where paths may be long
 SAMPLES_AT_ONCE = 16  # directions a ray carries before fewer tiles are handled at once
 
@@ -138,7 +138,7 @@ class Pass(NamedTuple):
     @property
     def quick(self) -> bool:
         """Whether to call a program for each chunk would take a share of the image's time that matters."""
-        return self.work(self.samples) <= QUICK
+        return not is_traced(self.strata.cells) and self.work(self.samples) <= QUICK
 
     def work(self, samples: int) -> int:
         """Rays of an image of so many in each pixel, times nodes and what a ray counts for."""
@@ -153,18 +153,17 @@ class Pass(NamedTuple):
     def numbers(self) -> Int[np.ndarray, "chunk tile"]:
         """Tiles of the chunks, spread over the image, so that chunks cost the same; some may lie beyond it.
 
-        Chunks are smaller where a ray carries many samples, and in images of less than `parts` full ones.
+        Chunks are smaller where a ray carries many samples, and in images of less than `parts` full ones; of these
+        there are that many, unless all is quick.
         """
         *_, together, most = self._limits()
         size = chunk_size(-(-self.tiles // self.parts), most, together)
-        count = max(-(-self.tiles // size), min(self.parts, self.tiles))
+        count = max(-(-self.tiles // size), 1 if self.quick else min(self.parts, self.tiles))
         return np.arange(count * size, dtype=np.int32).reshape(size, count).T
 
-    def chunks(self, least: int = 1) -> Chunk:
-        """The chunks, stacked, with empty ones where that makes so many."""
+    def chunks(self) -> Chunk:
+        """The chunks, stacked."""
         tile = self.numbers
-        if len(tile) < least:
-            tile = np.concatenate([tile, np.full((least - len(tile), tile.shape[1]), self.tiles, np.int32)])
         number = np.arange(len(tile), dtype=np.int32)
         return Chunk(number, self.camera.first_pixels(tile), tile < self.tiles)
 
@@ -214,13 +213,13 @@ def whole_image(taken: Pass, parts: Estimate) -> Image:
 
 @program
 def every_pixel(taken: Pass, parts: Estimate) -> Estimate:
-    """The estimates [row, column, ...] of all chunks, stacked; empty ones may follow."""
-    camera, count = taken.camera, len(taken.numbers)
+    """The estimates [row, column, ...] of all chunks, stacked."""
+    camera = taken.camera
 
     def whole(value: Any) -> Any:
         if value is None:
             return None
-        of_tile = jnp.swapaxes(value[:count].reshape((count, *value.shape[1:3], -1)), 0, 1)
+        of_tile = jnp.swapaxes(value.reshape((*value.shape[:3], -1)), 0, 1)
         of_tile = of_tile.reshape((-1, *of_tile.shape[2:]))[: taken.tiles]
         return camera.untile(of_tile).reshape((*camera.shape, *value.shape[3:]))
 

@@ -56,7 +56,6 @@ def stacked(
     items: Any,
     label: str,
     devices: Mesh | None = None,
-    quick: bool = False,
 ) -> Any:
     """The results [item, ...] of `function(inputs, item)` for every item.
 
@@ -66,19 +65,15 @@ def stacked(
         items: a pytree of arrays [item, ...]; may be traced.
         label: of the progress bar.
         devices: of `shared_by`; None for one.
-        quick: whether all items together take no longer than a few calls.
 
     Returns:
-        The results: of one program where inputs are traced, which is compiled once for each structure, or on one device
-        all is quick; else of a loop on the host, which compiles nothing anew for another number of items.
+        The results: of one program where inputs are traced, which is compiled once for each structure; else of a loop
+        on the host, which compiles nothing anew for another number of items.
 
     Differentiable in inputs and items as the function is.
     """
     if is_traced((inputs, items)):
         return _in_one_program(function, inputs, jax.tree.map(placed, items), devices)
-    if quick and devices is None:
-        with progress(label, 1):
-            return _in_one_program(function, inputs, jax.tree.map(placed, items), None)
     join = np.stack if devices is None else np.concatenate
     found = item_by_item(function, inputs, jax.tree.map(np.asarray, items), label, devices)
     every = [result for _, result in found]

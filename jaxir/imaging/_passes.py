@@ -134,7 +134,7 @@ def render(
     samples = 8 if samples is None else samples
     if goal is None:
         require(miss_doubts(scene, camera, samples))
-        return ended(even_image(first._replace(parts=parts), 0, samples, mesh, alone=True), None)
+        return ended(even_image(first._replace(parts=parts), 0, samples, mesh), None)
     wanted, look = rays_to_see(first, goal), None
     few = few_rays(wanted, max_samples)
     tried = first._replace(components=None).of(few)

@@ -38,7 +38,7 @@ def test_neither_the_pixels_nor_their_sum_are_biased_and_the_errors_are_those_to
     varied = spread > 1e-4 * contrast[contrast > 0].mean()
     told = np.asarray(truth.standard_error, float)[..., 0]
     z = apart.mean(axis=0)[varied] / np.hypot(spread[varied] / len(images) ** 0.5, told[varied])
-    assert varied.sum() > 150 and 0.7 < np.mean(z**2) < 1.4 and np.abs(z).max() < 5
+    assert varied.sum() > 150 and 0.6 < np.mean(z**2) < 1.4 and np.abs(z).max() < 5  # .71 to 1.05 by keys
 
 
 def test_an_intensity_to_a_small_error_takes_rays_where_pixels_vary(monkeypatch, one_program):
