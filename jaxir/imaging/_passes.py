@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Key
 from jaxir._arrays import as_float, is_traced, key_or_default, require
 from jaxir._programs import of_items
 from jaxir.geometry import Camera
-from jaxir.imaging._adaptive import adapted, even_image, looked
+from jaxir.imaging._adaptive import PILOT, adapted, even_image, looked, looks
 from jaxir.imaging._choices import FEW, few_rays, rays_to_see, with_bounces
 from jaxir.imaging._chunks import Pass, estimate_chunk, first_pass, parts_for, scattered_for
 from jaxir.imaging._devices import shared_by
@@ -72,8 +72,9 @@ def render(
         method: how light is found; by default `Method()`, with rtol or atol alone as `jaxir.plan` finds cheapest, with
             samples beside them or pixel_rtol `Method()` of as many bounces as leave out half of it in the mean.
         rtol: keep adding passes until the standard error of the radiant intensity of every band is at most rtol times
-            the intensity: passes of `samples` if given, else as `jaxir.plan` foretells, which places many rays where
-            the error is (see `jaxir.imaging._adaptive`). None takes one pass. `Image.outcome` says whether it was met.
+            the intensity: passes of `samples` if given (of more where a target smaller than a pixel asks for many),
+            else as `jaxir.plan` foretells, which places many rays where the error is (see `jaxir.imaging._adaptive`).
+            None takes one pass. `Image.outcome` says whether it was met.
             Bands become spectral nodes that err by a tenth of it, at most by it (`optimal_nodes`); so with pixel_rtol.
         atol: the standard error of an intensity that is good enough whatever it is [W sr-1], for contrasts near 0; with
             rtol, the larger of the two counts.
@@ -176,11 +177,12 @@ def repeated(
     Args:
         first: a pass of the image.
         goal: what is asked.
-        samples: rays per pixel of a pass.
+        samples: rays per pixel of a pass, at least: four passes hold `few`.
         planned: whether they are what a plan foretold.
         few: rays per pixel, of fewer of which a target may have been missed.
         mesh: devices that share it, of `shared_by`.
     """
+    samples = max(samples, looks(few) // PILOT)
     if goal.seconds < math.inf:  # so that no pass is timed while it compiles
         taken = first.of(samples)
         jax.block_until_ready(of_items(estimate_chunk, taken.of_chunks())(taken.chunks().each()[0]))
