@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxir
-from jaxir.geometry import crossings, fitted_camera
+from jaxir.geometry import crossings, fitted_camera, tile_points
 from studies._study import Run, study
 from studies.scaling import SUN, bands, body, gas
 
@@ -40,8 +40,8 @@ def bandwidth(megabytes: int = 256) -> float:
 
 def crossed(scene, camera) -> float:
     """Mean number of cells crossed by a camera ray, from one ray in 64."""
-    first = jnp.asarray(camera.first_pixels()[::64])
-    screen = camera.screen(first, jnp.full((first.shape[0], 256, 2), 0.5)).reshape(-1, 2)
+    edges = jnp.asarray(camera.tile_edges()[::64])
+    screen = tile_points(edges, jnp.full((edges.shape[0], 256, 2), 0.5)).reshape(-1, 2)
     rays = camera.bundle(screen, scene.start(camera)).rays()
     lists = crossings(scene.plume.grid, rays, jnp.full(rays.count, jnp.inf))
     return float(jnp.mean(jnp.sum(lists.length > 0, axis=1)))

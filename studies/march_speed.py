@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxir
-from jaxir.geometry import fitted_camera, view_frame
+from jaxir.geometry import fitted_camera, tile_points, view_frame
 from jaxir.imaging import Pass, division, entering, estimate_chunk, whole_image
 from jaxir.medium import march
 from studies._study import Run, study
@@ -105,9 +105,9 @@ def medium(name: str):
     reach = math.sqrt(sum(s * s for s in size))
     grid = jaxir.Grid(low, spacing, shape)
     camera = fitted_camera(*aspect, grid.corners(), (PIXELS, PIXELS))
-    first = jnp.asarray(camera.first_pixels())
-    centre = jnp.full((first.shape[0], 256, 2), 0.5)
-    rays = camera.bundle(camera.screen(first, centre).reshape(-1, 2), jnp.asarray(0.51 * reach)).rays()
+    edges = jnp.asarray(camera.tile_edges())
+    centre = jnp.full((edges.shape[0], 256, 2), 0.5)
+    rays = camera.bundle(tile_points(edges, centre).reshape(-1, 2), jnp.asarray(0.51 * reach)).rays()
     return grid, jnp.asarray(extinction), jnp.asarray(extinction * source), rays
 
 
@@ -190,9 +190,9 @@ def measure_nodes() -> list[dict]:
     shape, size = (150, 24, 24), np.array((30.0, 1.2, 1.2))
     grid = jaxir.Grid(-size / 2, size / shape, shape)
     camera = fitted_camera(110.0, 15.0, grid.corners(), (64, 64))
-    first = jnp.asarray(camera.first_pixels())
-    centre = jnp.full((first.shape[0], 256, 2), 0.5)
-    rays = camera.bundle(camera.screen(first, centre).reshape(-1, 2), jnp.asarray(16.0)).rays()
+    edges = jnp.asarray(camera.tile_edges())
+    centre = jnp.full((edges.shape[0], 256, 2), 0.5)
+    rays = camera.bundle(tile_points(edges, centre).reshape(-1, 2), jnp.asarray(16.0)).rays()
     temperature = np.random.default_rng(0).uniform(400, 1400, shape)
     scene = jaxir.Scene(plumes=jaxir.GridPlume(grid, temperature, jaxir.GrayGas(0.3)))
     paths = jaxir.store_route(scene, jaxir.trace(scene, rays))
@@ -256,7 +256,7 @@ def measure_views() -> list[dict]:
 
     def image(camera):
         method = jaxir.Method().resolved(scene)
-        taken = Pass(lit, camera, jax.random.key(0), jnp.uint32(0), division(2, known=True), method)
+        taken = Pass(lit, camera, jax.random.key(0), jnp.uint32(0), division(2, known=False), method, 1)
         parts = jax.lax.map(lambda chunk: estimate_chunk(taken.of_chunks(), chunk), taken.chunks())
         return whole_image(taken, parts).radiant_intensity()[0]
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxir
-from jaxir.geometry import Bundle, Rays
+from jaxir.geometry import Bundle, Rays, tile_points
 from jaxir.geometry.search import any_hit, closest_hit, occluded
 from studies import mitsuba_peer
 from studies._study import Run, study, subplots
@@ -52,10 +52,10 @@ def aircraft(faces: float) -> tuple[np.ndarray, np.ndarray]:
 def picture(width: float, pixels: int, reach: float, samples: int = 1) -> Bundle:
     """Rays of a camera that sees `width` [m]; several samples lie at random places of each pixel."""
     camera = jaxir.perspective_camera(60.0, 25.0, DISTANCE, width / pixels / DISTANCE, (pixels, pixels))
-    first = jnp.repeat(jnp.asarray(camera.first_pixels()), samples, axis=0)
-    shape = (first.shape[0], 256, 2)
+    edges = jnp.repeat(jnp.asarray(camera.tile_edges()), samples, axis=0)
+    shape = (edges.shape[0], 256, 2)
     offset = np.full(shape, 0.5) if samples == 1 else np.random.default_rng(0).random(shape)
-    screen = camera.screen(first, jnp.asarray(offset, jnp.float32)).reshape(-1, 2)
+    screen = tile_points(edges, jnp.asarray(offset, jnp.float32)).reshape(-1, 2)
     return camera.bundle(screen, jnp.asarray(2 * reach, jnp.float32))
 
 

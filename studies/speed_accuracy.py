@@ -99,7 +99,7 @@ def estimated(scene, camera, samples, estimator, key) -> jax.Array:
     nodes, count = jaxir.gray_nodes((BAND,)), camera.tiles[0] * camera.tiles[1]
     of_rays, along = jax.random.split(key)
     places = pixel_samples(of_rays, count, samples)
-    rays = tile_rays(camera, jnp.asarray(camera.first_pixels()), places, scene.start(camera))
+    rays = tile_rays(camera, jnp.asarray(camera.tile_edges()), places, scene.start(camera))
     seen = nodes.in_band(jaxir.estimate(scene.on(nodes), jaxir.trace(scene, rays), estimator, along))
     return camera.untile(seen[:, 0].reshape(count, -1, samples).mean(axis=2))
 

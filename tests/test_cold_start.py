@@ -136,7 +136,7 @@ def test_images_of_other_shapes_trace_no_rays(asked, monkeypatch):
     assert len(traced) == once > 0
 
 
-def test_other_numbers_of_views_compile_nothing():
+def test_other_numbers_and_shapes_of_views_compile_nothing():
     seen = [jaxir.signature(unlit((0.8, 900.0)), [(0, 10)], MWIR, samples=2, shape=(16, 16))]
     del COMPILED[:]
     views = [(0, 10), (40, 0), (0, 10), (80, -30), (180, 0)]
@@ -144,6 +144,11 @@ def test_other_numbers_of_views_compile_nothing():
     assert not COMPILED
     np.testing.assert_array_equal(seen[1].intensity[0], seen[0].intensity[0])
     assert (np.asarray(seen[1].intensity)[1:] != np.asarray(seen[0].intensity)).all()  # by random keys of their own
+    for shape in ((30, 100), (90, 128)):
+        del COMPILED[:]
+        other = jaxir.signature(unlit((0.8, 900.0)), views, MWIR, samples=2, shape=shape)
+        assert not COMPILED
+        np.testing.assert_allclose(other.intensity, seen[1].intensity, rtol=0.05)
 
 
 def test_hessian_of_a_gridded_plume_is_the_slope_of_its_gradient(x64):

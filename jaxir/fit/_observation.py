@@ -234,12 +234,12 @@ def _rays_of_view(scene: Scene, camera: Camera, view: Int[Array, ""], key: Array
     Weights are those of an intensity, `group` is pixel + (number of pixels) * half, or -1.
     """
     key = jax.random.fold_in(key, view)
-    first = jnp.asarray(camera.first_pixels())
-    offset = pixel_samples(key, first.shape[0], samples)
+    edges = jnp.asarray(camera.tile_edges())
+    offset = pixel_samples(key, edges.shape[0], samples)
     count = 2 * offset.shape[0]
     # on the sphere, if that is further out: a jet may grow inside it, see `Observation.holds`
     start = jnp.maximum(scene.start(camera), scene.radius(camera.target))
-    bundle = tile_rays(camera, first, offset, start)
+    bundle = tile_rays(camera, edges, offset, start)
     rays = bundle.rays()
     reach = jnp.full_like(rays.origin[:, 0], jnp.inf)
     face = jnp.full(reach.shape, -1, jnp.int32)

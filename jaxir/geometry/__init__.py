@@ -13,6 +13,7 @@ from jaxir.geometry._camera import fitted_camera as fitted_camera
 from jaxir.geometry._camera import in_front as in_front
 from jaxir.geometry._camera import orthographic_camera as orthographic_camera
 from jaxir.geometry._camera import perspective_camera as perspective_camera
+from jaxir.geometry._camera import tile_points as tile_points
 from jaxir.geometry._camera import view_angles as view_angles
 from jaxir.geometry._camera import view_checks as view_checks
 from jaxir.geometry._camera import view_frame as view_frame
@@ -25,7 +26,8 @@ from jaxir.geometry._form_factor import disc_above as disc_above
 from jaxir.geometry._form_factor import disc_vector as disc_vector
 from jaxir.geometry._form_factor import polygon_form_factor as polygon_form_factor
 from jaxir.geometry._grading import Brightness as Brightness
-from jaxir.geometry._grading import graded_camera as graded_camera
+from jaxir.geometry._grading import graded as graded
+from jaxir.geometry._grading import rolled_camera as rolled_camera
 from jaxir.geometry._grid import Grid as Grid
 from jaxir.geometry._harmonics import degrees as degrees
 from jaxir.geometry._harmonics import harmonics as harmonics

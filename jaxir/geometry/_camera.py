@@ -98,51 +98,35 @@ class Camera(eqx.Module):
         """Rows and columns of tiles that cover the image."""
         return -(-self.shape[0] // TILE), -(-self.shape[1] // TILE)
 
-    @property
-    def corner(self) -> Float[np.ndarray, " 2"]:
-        """Row and column of the first pixel, counted from the middle of the image; 0 and 0 where it is graded."""
-        return -np.array(self.shape) / 2 if self.grading is None else np.zeros(2)
+    def edges(self, axis: int, index: Int[np.ndarray, "*edge"]) -> Float[Any, "*edge"]:
+        """Where edges between columns (axis 0) or rows (axis 1) are on the screen [*edge] [m]; of numpy if known.
 
-    def first_pixels(self, tile: Int[np.ndarray, "*tile"] | None = None) -> Float[np.ndarray, "*tile 2"]:
-        """Row and column of the first pixel of tiles [*tile, 2], as from `corner`: of all, or by index, row by row."""
-        return (self.corner + self._first(tile)).astype(self.pixel.dtype)
+        Column or row `index` begins there. Beyond the image's edge its raster goes on, or where it is graded ends.
+        """
+        count, turned = self.shape[1 - axis], (1, -1)[axis]
+        if self.grading is None:
+            _, pixel = on_host(self.pixel)
+            return turned * ((index - count / 2).astype(pixel.dtype) * pixel[axis])
+        _, share, pixel = on_host(self.grading[axis], self.pixel)
+        return turned * ((share[np.minimum(index, count)] - 0.5) * (count * pixel[axis]))
+
+    def tile_edges(self, tile: Int[np.ndarray, "*tile"] | None = None) -> Float[Any, "*tile 2 17"]:
+        """Edges of the columns and of the rows of tiles on the screen [*tile, 2, 17] [m], see `edges`.
+
+        Of all tiles, or by index, row by row.
+        """
+        first = self._first(tile)
+        xp, *each = on_host(*(self.edges(axis, first[..., 1 - axis, None] + np.arange(TILE + 1)) for axis in (0, 1)))
+        return xp.stack(each, axis=-2)
 
     def _first(self, tile: Int[np.ndarray, "*tile"] | None) -> Int[np.ndarray, "*tile 2"]:
-        """As `first_pixels`, from that of the image."""
+        """Row and column of the first pixel of tiles."""
         tile = np.arange(self.tiles[0] * self.tiles[1]) if tile is None else tile
         return TILE * np.stack(np.divmod(tile, self.tiles[1]), axis=-1)
 
-    def screen(
-        self, first: Float[Array, "tile 2"], offset: Float[Array, "tile pixel 2"]
-    ) -> Float[Array, "tile pixel 2"]:
-        """Screen points in the pixels of tiles.
-
-        Args:
-            first: of `first_pixels`.
-            offset: place inside each pixel, in [0, 1) along columns and rows.
-
-        Returns:
-            Screen points [tile, pixel, 2] [m]; pixels beyond the image's edge continue its raster, or where it is
-            graded repeat its last row or column.
-        """
-        return self.points(first[:, None] + as_float(_PIXELS)[None], offset)
-
-    def points(self, pixel: Float[Array, "*#batch 2"], offset: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-        """Screen points [*batch, 2] [m] at places in [0, 1) inside pixels: row and column of these as from `corner`."""
-        if self.grading is None:
-            x, y = pixel[..., 1] + offset[..., 0], pixel[..., 0] + offset[..., 1]
-        else:
-            row, column = jnp.moveaxis(pixel.astype(jnp.int32), -1, 0)
-            x = self.shape[1] * (_between(self.grading.columns, column, offset[..., 0]) - 0.5)
-            y = self.shape[0] * (_between(self.grading.rows, row, offset[..., 1]) - 0.5)
-        return jnp.stack([x * self.pixel[0], -y * self.pixel[1]], axis=-1)
-
     def endless(self) -> Camera:
-        """The same raster without an end: what looks at some pixels of it compiles once for images of all shapes.
-
-        One that is graded has its end all the same.
-        """
-        return dataclasses.replace(self, shape=(0, 0)) if self.grading is None else self
+        """The same eye and frame for `tile_edges` of any image: what looks at them compiles once for all shapes."""
+        return dataclasses.replace(self, shape=(0, 0), grading=None)
 
     def project(self, point: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
         """Screen points of points of the scene [m]."""
@@ -192,7 +176,7 @@ class Camera(eqx.Module):
         return screen, jnp.prod(high - low) / side**2 / self.slant(screen) ** 2
 
     def pixel_index(self, tile: Int[np.ndarray, " tile"] | None = None) -> Int[np.ndarray, "tile pixel"]:
-        """row * columns + column of every pixel of tiles, as of `first_pixels`, -1 beyond the image's edge."""
+        """row * columns + column of every pixel of tiles, as of `tile_edges`, -1 beyond the image's edge."""
         row, column = np.moveaxis(self._first(tile)[:, None] + _PIXELS, -1, 0)
         index = np.where((row < self.shape[0]) & (column < self.shape[1]), row * self.shape[1] + column, -1)
         return index.astype(np.int32)
@@ -215,9 +199,19 @@ class Camera(eqx.Module):
         The irradiance at the pupil on a plane facing the target is E = sum L cos(theta) dOmega with
         dOmega cos(theta) = (pixel / range)^2 cos^4(theta), and the intensity I = E range^2.
         """
-        (x, width), (y, height) = (self._pixels(axis) for axis in (0, 1))
-        tangent = (y[:, None] ** 2 + x[None, :] ** 2) * self.inverse_range**2
-        return height[:, None] * width[None, :] / (1 + tangent) ** 2
+        return self._area(self._pixels(0), self._pixels(1))
+
+    def tile_area(self, edges: Float[Array, "tile 2 17"]) -> Float[Array, "tile pixel"]:
+        """`pixel_area` of the pixels between `tile_edges` [tile, pixel] [m2]; 0 beyond the edge of a graded image."""
+        middle, size = (edges[..., 1:] + edges[..., :-1]) / 2, jnp.abs(edges[..., 1:] - edges[..., :-1])
+        return self._area(*((middle[:, axis], size[:, axis]) for axis in (0, 1))).reshape(edges.shape[0], -1)
+
+    def _area(
+        self, columns: tuple[Float[Array, "*tile column"], ...], rows: tuple[Float[Array, "*tile row"], ...]
+    ) -> Float[Array, "*tile row column"]:
+        """See `pixel_area`; of the middles of columns and rows, and their sizes [m]."""
+        (x, width), (y, height) = (part[..., None, :] for part in columns), (part[..., :, None] for part in rows)
+        return height * width / (1 + (y**2 + x**2) * self.inverse_range**2) ** 2
 
     def _pixels(self, axis: int) -> tuple[Float[Array, " pixel"], Float[Array, " pixel"]]:
         """Distance of the middle of columns (axis 0) or rows (axis 1) from the image's, and their size [m]."""
@@ -225,8 +219,8 @@ class Camera(eqx.Module):
         if self.grading is None:
             middle = jnp.arange(count).astype(self.pixel.dtype) + 0.5 - count / 2
             return middle * self.pixel[axis], jnp.broadcast_to(self.pixel[axis], (count,))
-        edges = (self.grading[axis] - 0.5) * count * self.pixel[axis]
-        return (edges[1:] + edges[:-1]) / 2, edges[1:] - edges[:-1]
+        edges = jnp.asarray(self.edges(axis, np.arange(count + 1)))
+        return (edges[1:] + edges[:-1]) / 2, jnp.abs(edges[1:] - edges[:-1])
 
     def checks(self) -> list[Check]:
         """The target is finite, the frame a number, pixels have positive size; all in the precision in force."""
@@ -244,10 +238,22 @@ def view_checks(views: Float[Array, "view 2"]) -> list[Check]:
     return [finite("views", views), ELEVATION("views: elevation", views, lambda aspect: aspect[..., 1])]
 
 
-def _between(edges: Float[Array, " edge"], pixel: Int[Array, "*#batch"], offset: Float[Array, "*batch"]) -> Array:
-    """Place inside pixels between edges [*batch]."""
-    first = jnp.minimum(pixel, edges.shape[0] - 2)
-    return edges[first] + offset * (edges[first + 1] - edges[first])
+def tile_points(edges: Float[Array, "tile 2 17"], offset: Float[Array, "tile pixel 2"]) -> Float[Array, "tile pixel 2"]:
+    """Screen points in the pixels of tiles [tile, pixel, 2] [m].
+
+    Args:
+        edges: of `Camera.tile_edges`.
+        offset: place inside each pixel, in [0, 1) along columns and rows.
+    """
+    grid = edges.shape[0], TILE, TILE
+    begin, size = edges[..., :-1], edges[..., 1:] - edges[..., :-1]
+
+    def along(axis: int) -> Array:
+        of_pixels = (jnp.broadcast_to(jnp.expand_dims(x[:, axis], 1 + axis), grid) for x in (begin, size))
+        first, width = (x.reshape(edges.shape[0], -1) for x in of_pixels)
+        return first + offset[..., axis] * width
+
+    return jnp.stack([along(0), along(1)], axis=-1)
 
 
 def view_frame(azimuth: Any, elevation: Any) -> Float[Array, "3 3"]:

@@ -8,16 +8,18 @@ its two axes. The pixels' areas are their weights, so that whatever the brightne
 
 from __future__ import annotations
 
-from functools import reduce
+import dataclasses
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxir._arrays import as_float
+from jaxir._arrays import as_float, on_host, placed
 from jaxir._math import matmul
 from jaxir.geometry._camera import Camera, Grading, camera_around, view_frame
 
@@ -75,32 +77,50 @@ class _Outlines(NamedTuple):
         return low - self.radius[None], high + self.radius[None]
 
 
-def graded_camera(
+def rolled_camera(
     azimuth: Any,
     elevation: Any,
     extent: Float[Array, "corner 3"],
     brightness: Brightness,
-    shape: tuple[int, int],
     distance: Any = np.inf,
-) -> Camera:
-    """A camera as `fitted_camera`, rolled and graded for the brightness of what it sees; without derivatives."""
+) -> tuple[Camera, Float[Array, "2 edge"]]:
+    """A camera as `fitted_camera`, of one pixel, rolled for the brightness of what it sees; without derivatives.
+
+    And shares of the density up to edges of `BINS` equal bins, of columns and of rows: what `graded` makes rasters of.
+    """
     extent, brightness = lax.stop_gradient((extent, brightness))
     frame = view_frame(azimuth, elevation)
-    upright = camera_around(frame, extent, shape, distance)
+    upright = camera_around(frame, extent, (1, 1), distance)
     parts = _seen(upright, brightness)
     roll, (u, v, w) = _roll(parts), frame
     cos, sin = jnp.cos(roll), jnp.sin(roll)
-    camera = camera_around(jnp.stack([cos * u + sin * v, cos * v - sin * u, w]), extent, shape, distance)
+    camera = camera_around(jnp.stack([cos * u + sin * v, cos * v - sin * u, w]), extent, (1, 1), distance)
     # parts are seen as before, turned; an eye at infinity may look at another point
     low, high = parts.moved(cos, sin, matmul(camera.frame[:2], upright.target - camera.target)).box()
-    rows, columns = camera.shape
-    size = (camera.pixel * as_float(np.array([columns, rows])))[:, None]
-    low, high = low / size + 0.5, high / size + 0.5
+    low, high = (side / camera.pixel[:, None] + 0.5 for side in (low, high))
     # rows are counted downwards
-    across, down = _edges(
-        jnp.stack([low[0], 1 - high[1]]), jnp.stack([high[0], 1 - low[1]]), parts.weight, (columns, rows)
-    )
-    return eqx.tree_at(lambda c: c.grading, camera, Grading(across, down), is_leaf=lambda x: x is None)
+    return camera, _upto(jnp.stack([low[0], 1 - high[1]]), jnp.stack([high[0], 1 - low[1]]), parts.weight)
+
+
+def graded(cameras: Camera, upto: Float[Array, "view 2 edge"], shape: tuple[int, int]) -> Camera:
+    """Stacked cameras [view] of `rolled_camera`, of so many rows and columns; by numpy where all is known."""
+    xp, shares, size = on_host(upto, cameras.pixel)
+    bins, counts = np.linspace(0, 1, BINS + 1).astype(shares.dtype), np.array(shape[::-1])
+
+    def edges(own: Any, count: int) -> Any:
+        inner = xp.interp((np.arange(1, count) / count).astype(own.dtype), own / own[-1], bins)
+        return xp.concatenate([bins[:1], inner.astype(own.dtype), bins[-1:]])
+
+    def of_views(own: Any, count: int) -> Any:
+        every = partial(edges, count=count)
+        return np.stack(list(map(every, own))) if xp is np else jax.vmap(every)(own)
+
+    each = [of_views(shares[:, axis], count) for axis, count in enumerate(counts.tolist())]
+
+    def divided(camera: Camera, pixel: Array, *grading: Array) -> Camera:
+        return dataclasses.replace(camera, pixel=pixel, shape=shape, grading=Grading(*grading))
+
+    return jax.vmap(divided)(cameras, *map(placed, (size / counts[None].astype(size.dtype), *each)))
 
 
 def _seen(camera: Camera, brightness: Brightness) -> _Outlines:
@@ -147,10 +167,10 @@ def _roll(parts: _Outlines) -> Float[Array, ""]:
     return jnp.where(stands_out, jnp.arctan2(twice, along - across) / 2, 0)
 
 
-def _edges(
-    low: Float[Array, "2 part"], high: Float[Array, "2 part"], weight: Float[Array, " part"], counts: tuple[int, int]
-) -> list[Float[Array, " edge"]]:
-    """Edges of pixels along two axes, in [0, 1] at equal shares of the density of parts that are even over [low, high].
+def _upto(
+    low: Float[Array, "2 part"], high: Float[Array, "2 part"], weight: Float[Array, " part"]
+) -> Float[Array, "2 edge"]:
+    """Shares of the density along two axes, up to edges of bins, of parts that are even over [low, high].
 
     A part's density steps up at `low` and down at `high`; each step is shared by the two bin edges beside it.
     """
@@ -166,9 +186,4 @@ def _edges(
     density = jnp.maximum(jnp.cumsum(steps, axis=1)[:, :-1], 0)
     total = jnp.sum(density, axis=1, keepdims=True)
     share = EVEN / BINS + (1 - EVEN) * jnp.where(total > 0, density / jnp.where(total > 0, total, 1), 1 / BINS)
-    upto = jnp.pad(jnp.cumsum(share, axis=1), ((0, 0), (1, 0)))
-    bins, found = as_float(np.linspace(0, 1, BINS + 1)), []
-    for own, count in zip(upto, counts, strict=True):
-        edges = jnp.interp(as_float(np.linspace(0, 1, count + 1)), own / own[-1], bins)
-        found.append(edges.at[0].set(0).at[-1].set(1))
-    return found
+    return jnp.pad(jnp.cumsum(share, axis=1), ((0, 0), (1, 0)))

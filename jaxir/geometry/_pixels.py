@@ -25,7 +25,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key, UInt32
 
 from jaxir._arrays import as_float
-from jaxir.geometry._camera import TILE, Camera
+from jaxir.geometry._camera import TILE, Camera, tile_points
 from jaxir.geometry._loops import varying
 from jaxir.geometry._ray import Bundle
 
@@ -123,7 +123,7 @@ def turns(key: Key[Array, ""], tiles: int) -> UInt32[Array, "2 tile pixel"]:
 
 def tile_rays(
     camera: Camera,
-    first: Float[Array, "tile 2"],
+    edges: Float[Array, "tile 2 17"],
     offset: Float[Array, "stratum 2 tile pixel 2"],
     start: Float[Array, ""],
 ) -> Bundle:
@@ -131,7 +131,7 @@ def tile_rays(
 
     Args:
         camera: the eye.
-        first: of the tiles, of `Camera.first_pixels`.
+        edges: of the tiles, of `Camera.tile_edges`.
         offset: places inside the pixels, of `stratum_points` for some strata.
         start: height above the target plane at which they start [m].
 
@@ -139,5 +139,5 @@ def tile_rays(
         Rays in the order [tile, pixel, stratum, 2]: those of a pixel lie side by side, so that a bundle of them covers
         few faces.
     """
-    screen = jax.vmap(jax.vmap(lambda place: camera.screen(first, place)))(offset)
+    screen = jax.vmap(jax.vmap(lambda place: tile_points(edges, place)))(offset)
     return camera.bundle(screen.transpose(2, 3, 0, 1, 4).reshape(-1, 2), start)

@@ -60,7 +60,7 @@ class Strata:
     Attributes:
         row, column: of each pixel [pixel].
         name: number of each in the image [pixel].
-        where: row and column of each as from `Camera.corner` [pixel, 2].
+        edges: of the column and of the row of each on the screen [pixel, 2, 2] [m].
         count: strata of each [pixel].
         columns: of its strata [pixel].
     """
@@ -68,7 +68,7 @@ class Strata:
     row: Int[np.ndarray, " pixel"]
     column: Int[np.ndarray, " pixel"]
     name: Int[np.ndarray, " pixel"]
-    where: Float[np.ndarray, "pixel 2"]
+    edges: Float[np.ndarray, "pixel 2 2"]
     count: Int[np.ndarray, " pixel"]
     columns: Int[np.ndarray, " pixel"]
 
@@ -83,7 +83,7 @@ class Strata:
 
     def chunk(
         self, size: int, number: int
-    ) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, "spot 4"], Float[np.ndarray, "spot 2"]]:
+    ) -> tuple[np.ndarray, np.ndarray, Int[np.ndarray, "spot 4"], Float[np.ndarray, "spot 2 2"]]:
         """Pixels of a chunk [pixel], where each begins [pixel], and what `_seen_at` asks for; the last fills up."""
         end = self.end
         begin, last = number * size, min((number + 1) * size, int(end[-1]))
@@ -95,7 +95,7 @@ class Strata:
         own = np.repeat(np.arange(len(pixel)), np.diff(place, append=size))
         spots = each[own].astype(np.int32)
         spots[:, 1] = np.minimum(np.arange(begin, begin + size), last - 1) - spots[:, 1]
-        return pixel, place, spots, self.where[pixel][own]
+        return pixel, place, spots, self.edges[pixel][own]
 
 
 class Look(NamedTuple):
@@ -265,9 +265,10 @@ def strata_of(count: Int[np.ndarray, "row column"], camera: Camera) -> Strata:
     order = np.lexsort((column, row, column // TILE, row // TILE))
     row, column = row[order], column[order]
     each = count[row, column]
-    where = (camera.corner + np.stack([row, column], axis=1)).astype(camera.pixel.dtype)
+    ends = ((axis, at[:, None] + np.arange(2)) for axis, at in enumerate((column, row)))
+    edges = np.stack([camera.edges(*each) for each in ends], axis=1)
     columns = np.ceil(np.sqrt(each) - 1e-9).astype(np.int64)
-    return Strata(row, column, row * camera.shape[1] + column, where, each, columns)
+    return Strata(row, column, row * camera.shape[1] + column, edges, each, columns)
 
 
 def with_strata(taken: Pass, base: Estimate, strata: Strata) -> Estimate:
@@ -320,12 +321,13 @@ def _add_by_pixel(pixel: np.ndarray, place: np.ndarray, total: np.ndarray, leaf:
 
 
 @program
-def _seen_at(taken: Pass, chunk: tuple[Array, Int[Array, "spot 4"], Float[Array, "spot 2"]]) -> tuple[Seen, Varied]:
+def _seen_at(taken: Pass, chunk: tuple[Array, Int[Array, "spot 4"], Float[Array, "spot 2 2"]]) -> tuple[Seen, Varied]:
     """Mean of two rays in each stratum of a chunk with its number, and half their difference; of a pass `of_chunks`.
 
-    Of each stratum are given the number of its pixel, its own in it, columns and rows of strata there, and where it is.
+    Of each stratum are given the number of its pixel, its own in it, columns and rows of strata there, and the pixel's
+    edges.
     """
-    camera, (number, spots, where) = taken.camera, chunk
+    camera, (number, spots, edges) = taken.camera, chunk
     pixel, within, columns, rows = (spots[:, k] for k in range(4))
     corner = [place(within, columns)[:, None] for place in (lax.rem, lax.div)]
     key = jax.random.fold_in(jax.random.fold_in(taken.key, OF_SPOTS), taken.number)
@@ -335,7 +337,8 @@ def _seen_at(taken: Pass, chunk: tuple[Array, Int[Array, "spot 4"], Float[Array,
     turn = jax.vmap(lambda key: jax.random.bits(key, (2,), jnp.uint32))(of_pixel)
     word = jax.random.bits(for_places, turn.shape, jnp.uint32)
     place = places_in(corner, [columns[:, None], rows[:, None]], turn, word)
-    screen = camera.points(where[:, None], place)
+    begin, end = edges[:, None, :, 0], edges[:, None, :, 1]
+    screen = begin + place * (end - begin)
     bundle = camera.bundle(screen.reshape(-1, 2), taken.lit.scene.start(camera))
     seen = jax.tree.map(lambda value: value.reshape((-1, 2, *value.shape[1:])), see(taken, bundle, for_paths))
     mean = jax.tree.map(lambda value: (value[:, 0] + value[:, 1]) / 2, seen)

@@ -138,7 +138,7 @@ class Pass(NamedTuple):
     @property
     def quick(self) -> bool:
         """Whether to call a program for each chunk would take a share of the image's time that matters."""
-        return not is_traced(self.strata.cells) and self.work(self.samples) <= QUICK
+        return self.work(self.samples) <= QUICK
 
     def work(self, samples: int) -> int:
         """Rays of an image of so many in each pixel, times nodes and what a ray counts for."""
@@ -151,21 +151,24 @@ class Pass(NamedTuple):
 
     @property
     def numbers(self) -> Int[np.ndarray, "chunk tile"]:
-        """Tiles of the chunks, spread over the image, so that chunks cost the same; some may lie beyond it.
+        """Tiles of the chunks of an image; of small ones there are `parts`, unless all is quick."""
+        return self.spread(1 if self.quick else min(self.parts, self.tiles))
 
-        Chunks are smaller where a ray carries many samples, and in images of less than `parts` full ones; of these
-        there are that many, unless all is quick.
+    def spread(self, least: int) -> Int[np.ndarray, "chunk tile"]:
+        """Tiles of `least` chunks or more, spread over the image, so that these cost the same; some may lie beyond it.
+
+        Chunks are smaller where a ray carries many samples, and in images of less than `parts` full ones.
         """
         *_, together, most = self._limits()
         size = chunk_size(-(-self.tiles // self.parts), most, together)
-        count = max(-(-self.tiles // size), 1 if self.quick else min(self.parts, self.tiles))
+        count = max(-(-self.tiles // size), least)
         return np.arange(count * size, dtype=np.int32).reshape(size, count).T
 
     def chunks(self) -> Chunk:
         """The chunks, stacked."""
         tile = self.numbers
         number = np.arange(len(tile), dtype=np.int32)
-        return Chunk(number, self.camera.first_pixels(tile), tile < self.tiles)
+        return Chunk(number, self.camera.tile_edges(tile), tile < self.tiles)
 
 
 def first_pass(
@@ -248,12 +251,12 @@ def estimate_chunk(taken: Pass, chunk: Chunk) -> Estimate:
     lit, camera = taken.lit, taken.camera
     uniform = taken.uniform
     empty = lit.nodes.in_band(lit.empty(camera.frame[:1, None])) if uniform else None
-    start, size = lit.scene.start(camera), chunk.first.shape[0]
-    some = chunk.there & may_see(lit.scene.outline(), camera, chunk.first) if uniform else chunk.there
+    start, size = lit.scene.start(camera), chunk.edges.shape[0]
+    some = chunk.there & may_see(lit.scene.outline(), camera, chunk.edges) if uniform else chunk.there
     order = jnp.argsort(~some, stable=True)  # tiles that see something go together
 
     def block(own: tuple[Array, Array, Array]) -> tuple[Seen, Varied, Varied]:
-        first, number, some = own
+        edges, number, some = own
 
         def nothing() -> tuple[Seen, Varied, Varied]:
             dark = _dark(taken, together, empty)
@@ -264,13 +267,13 @@ def estimate_chunk(taken: Pass, chunk: Chunk) -> Estimate:
                 parts = parts + lit.nodes.in_band(empty_components(lit, taken.components, camera.frame[0]))[None, None]
             return dark._replace(radiance=dark.radiance + empty, parts=parts), none, none
 
-        return lax.cond(some, lambda: _estimate(taken, first, key, number, start, empty), nothing)
+        return lax.cond(some, lambda: _estimate(taken, edges, key, number, start, empty), nothing)
 
     together = taken.tiles_at_once(size)
     blocks, number = size // together, jnp.arange(size // together, dtype=jnp.int32)
     key = jax.random.fold_in(jax.random.fold_in(taken.key, taken.number), chunk.number)
-    first, some = chunk.first[order].reshape(blocks, together, 2), some[order].reshape(blocks, together)
-    every = lax.map(block, (first, number, jnp.any(some, axis=1)))
+    edges, some = (x[order].reshape(blocks, together, *x.shape[1:]) for x in (chunk.edges, some))
+    every = lax.map(block, (edges, number, jnp.any(some, axis=1)))
     back = jnp.argsort(order)
     mean, variance, within = jax.tree.map(lambda value: value.reshape((-1, *value.shape[2:]))[back], every)
     seen = mean.empty if empty is None else empty
@@ -290,7 +293,7 @@ def _dark(taken: Pass, tiles: int, empty: Array | None) -> Seen:
 
 def _estimate(
     taken: Pass,
-    first: Float[Array, "tile 2"],
+    edges: Float[Array, "tile 2 17"],
     key: Key[Array, ""],
     number: Int[Array, ""],
     start: Float[Array, ""],
@@ -300,7 +303,7 @@ def _estimate(
 
     `number` of the tiles tells their random numbers from those of others with the same key.
     """
-    camera, count, size, some = taken.camera, taken.strata.count, first.shape[0], taken.strata_at_once
+    camera, count, size, some = taken.camera, taken.strata.count, edges.shape[0], taken.strata_at_once
     turn = turns(jax.random.fold_in(key, -1 - number), size)
 
     def group(step: Array, carry: tuple[Seen, Varied, Varied]) -> tuple[Seen, Varied, Varied]:
@@ -308,7 +311,7 @@ def _estimate(
         for_pixels, for_paths = jax.random.split(jax.random.fold_in(key, number * count + begin))
         index = begin + jnp.arange(some, dtype=jnp.int32)
         offset = stratum_points(for_pixels, turn, index, taken.strata.cells)
-        bundle = tile_rays(camera, first, offset, start)
+        bundle = tile_rays(camera, edges, offset, start)
         seen = jax.tree.map(
             lambda value: value.reshape((size, TILE * TILE, some, 2, *value.shape[1:])),
             see(taken, bundle, for_paths),

@@ -56,12 +56,12 @@ class Chunk(NamedTuple):
 
     Attributes:
         number: of the chunk, which decides its random numbers.
-        first: row and column of the first pixel of each, see `Camera.first_pixels`.
+        edges: of the pixels of each, see `Camera.tile_edges`.
         there: whether each lies in the image.
     """
 
     number: Int[Any, "*chunk"]
-    first: Float[Any, "*chunk tile 2"]
+    edges: Float[Any, "*chunk tile 2 17"]
     there: Bool[Any, "*chunk tile"]
 
     def each(self) -> list[Chunk]:

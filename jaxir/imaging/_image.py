@@ -15,6 +15,7 @@ from jaxir._math import safe_sqrt
 from jaxir._programs import program
 from jaxir.geometry import Camera
 from jaxir.imaging._budget import ErrorBudget, budget
+from jaxir.imaging._estimate import Estimate
 from jaxir.imaging._left_out import Asked
 from jaxir.transport import AIR, BACKGROUND
 
@@ -139,32 +140,64 @@ class Image(eqx.Module):
 
 @program
 def _intensity(camera: Camera, radiance: Array, empty: Array) -> Float[Array, " band"]:
-    return _over_pixels(camera, radiance - empty)
+    return over_pixels(camera.pixel_area(), radiance - empty)
 
 
 @program
 def _contrast(camera: Camera, radiance: Array, empty: Array) -> Float[Array, " band"]:
-    return _over_pixels(camera, jnp.abs(radiance - empty))
-
-
-def _over_pixels(camera: Camera, radiance: Array) -> Float[Array, " band"]:
-    return jnp.sum(radiance * camera.pixel_area()[:, :, None], axis=(0, 1))
+    return over_pixels(camera.pixel_area(), jnp.abs(radiance - empty))
 
 
 @program
 def _by_component(camera: Camera, parts: Array, empty: Array, names: tuple[str, ...]) -> Float[Array, "component band"]:
-    own = [parts[:, :, k] for k in range(len(names))]
-    path = own.pop() if names[-1] == AIR else jnp.zeros_like(empty)
-    if names[-1 - (names[-1] == AIR)] == BACKGROUND:
-        own[-1] = own[-1] + path - empty
-    found = [_over_pixels(camera, part) for part in own]
-    return jnp.stack([*found, *([jnp.zeros_like(found[0])] if names[-1] == AIR else [])])
+    return by_component(camera.pixel_area(), parts, empty, names)
 
 
 @program
 def _intensity_error(camera: Camera, standard_error: Array) -> Float[Array, "*component band"]:
-    area = camera.pixel_area().reshape(*standard_error.shape[:2], *(1,) * (standard_error.ndim - 2))
-    each = standard_error * area
+    return error_over_pixels(camera.pixel_area(), standard_error)
+
+
+# Of pixels [row, column, ...] or [tile, pixel, ...] that take an area each
+
+
+def over_pixels(area: Float[Array, "row column"], value: Float[Array, "row column *more"]) -> Float[Array, "*more"]:
+    """Sum over pixels of a value times area."""
+    return jnp.sum(value * area.reshape(*area.shape, *(1,) * (value.ndim - 2)), axis=(0, 1))
+
+
+def by_component(area: Array, parts: Array, empty: Array, names: tuple[str, ...]) -> Float[Array, "component band"]:
+    """See `Image.component_intensity`."""
+    own = [parts[:, :, k] for k in range(len(names))]
+    path = own.pop() if names[-1] == AIR else jnp.zeros_like(empty)
+    if names[-1 - (names[-1] == AIR)] == BACKGROUND:
+        own[-1] = own[-1] + path - empty
+    found = [over_pixels(area, part) for part in own]
+    return jnp.stack([*found, *([jnp.zeros_like(found[0])] if names[-1] == AIR else [])])
+
+
+def totals(
+    area: Float[Array, "row column"], found: Estimate, unresolved: Array | None, names: tuple[str, ...]
+) -> tuple[Array, ...]:
+    """What an image of estimates tells of all its pixels: intensity, its error, truncation, contrast [band].
+
+    And intensity by component, if these have names, with errors. Pixels without area are none.
+    """
+    some = (area > 0)[..., None]
+    found = found._replace(within=jnp.where(some, found.within, 0))
+    if found.parts_within is not None:
+        found = found._replace(parts_within=jnp.where(some[..., None], found.parts_within, 0))
+    error, parts_error = (None if of is None else error_over_pixels(area, safe_sqrt(of)) for of in found.surer())
+    apart = found.mean - found.empty
+    intensity, contrast = over_pixels(area, apart), over_pixels(area, jnp.abs(apart))
+    orders = None if found.orders is None else over_pixels(area, found.orders)
+    parts = () if found.parts is None else (by_component(area, found.parts, found.empty, names), parts_error)
+    return intensity, error, share_left_out(orders, unresolved, intensity), contrast, *parts
+
+
+def error_over_pixels(area: Array, standard_error: Float[Array, "row column *more"]) -> Float[Array, "*more"]:
+    """See `Image.intensity_error`."""
+    each = standard_error * area.reshape(*area.shape, *(1,) * (standard_error.ndim - 2))
     most = lax.stop_gradient(jnp.max(each, axis=(0, 1), keepdims=True))
     most = jnp.where(most > 0, most, 1)  # squares of what is faint underflow
     return most[0, 0] * safe_sqrt(jnp.sum((each / most) ** 2, axis=(0, 1)))
@@ -209,8 +242,7 @@ def image_of(
     parts_variance: Float[Array, "row column component band"] | None,
 ) -> Image:
     """The image of one pass of `samples` rays per pixel; `orders` are those of each pixel's radiance."""
-    area = camera.pixel_area()[:, :, None, None]
-    whole = None if orders is None else jnp.sum(orders * area, axis=(0, 1))
+    whole = None if orders is None else over_pixels(camera.pixel_area(), orders)
     taken = jnp.asarray(samples, jnp.int32)
     error = safe_sqrt(variance)
     outcome: Any = Outcome.samples_taken  # an enumeration, which types do not know

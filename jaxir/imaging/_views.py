@@ -15,20 +15,14 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxir._arrays import as_float, enforce, is_traced, key_or_default, on_host, placed, require
-from jaxir._programs import program
 from jaxir.geometry import Camera, in_front, pixel_strata, view_checks
 from jaxir.imaging._budget import ErrorBudget, budget
-from jaxir.imaging._chunks import (
-    Pass,
-    estimate_chunk,
-    eye_outside,
-    parts_for,
-    whole_image,
-)
+from jaxir.imaging._chunks import eye_outside
 from jaxir.imaging._devices import shared_by, stacked
-from jaxir.imaging._division import Division, division
+from jaxir.imaging._division import division
 from jaxir.imaging._entry import path_doubts, require_parts
 from jaxir.imaging._left_out import Asked
+from jaxir.imaging._look import Look, Shared, chunks_of, view_intensity
 from jaxir.imaging._planning import way_for_views
 from jaxir.imaging._quadrature import beams_in_cells
 from jaxir.imaging._repeated import Repeats, repeats, until_met
@@ -36,9 +30,7 @@ from jaxir.imaging._tolerance import tolerance_of
 from jaxir.optics.spectrum import Band, Nodes, as_nodes
 from jaxir.scene import Lit, Scene, nodes_within, on_nodes
 from jaxir.transport import (
-    Components,
     Method,
-    aimed,
     components_of,
     graded_cameras,
     lattice_error,
@@ -124,40 +116,6 @@ class Signature(eqx.Module):
         return np.maximum.reduce(each) <= 1
 
 
-class Shared(NamedTuple):
-    """What looks at views have in common.
-
-    Attributes:
-        lit: the scene on the nodes.
-        key: random key; that of a view does not depend on how many follow.
-        strata: in a pixel.
-        method: how radiance is found.
-        components: by which intensities are split; None for none.
-    """
-
-    lit: Lit
-    key: Array
-    strata: Division
-    method: Method
-    components: Components | None
-
-
-class Look(NamedTuple):
-    """A look at a view, or stacked ones.
-
-    Attributes:
-        view: number of the view.
-        number: of the look at it.
-        camera: the eye.
-        lacking: of `lattice_error`; None where nothing was solved for.
-    """
-
-    view: Array | np.ndarray
-    number: Array | np.ndarray
-    camera: Camera
-    lacking: Any
-
-
 class Views(NamedTuple):
     """What is seen from where, ready to be computed view by view.
 
@@ -196,8 +154,8 @@ def signature(
     """Radiant intensity of a scene over aspects, all of them under one compilation.
 
     Every view is an image that just holds the scene's outline, with its rows and columns close together where the
-    scene is bright (`graded_camera`), so the accuracy is that of the raster whatever the aspect; more rows and columns
-    buy more than more samples.
+    scene is bright (`jaxir.geometry.graded`), so the accuracy is that of the raster whatever the aspect; more rows and
+    columns buy more than more samples.
 
     Args:
         scene: the scene.
@@ -247,7 +205,8 @@ def signature(
     index = np.arange(asked.aspect.shape[0], dtype=np.int32)
     mesh = shared_by(devices, index.size, "views")
     if is_traced(asked):
-        looks = Look(placed(index), placed(np.zeros(index.size, np.int32)), asked.cameras, asked.lacking)
+        own = jax.vmap(Camera.endless)(asked.cameras), asked.lacking, chunks_of(asked.shared, asked.cameras)
+        looks = Look(placed(index), placed(np.zeros(index.size, np.int32)), *own)
         return whole_table(asked, stacked(view_intensity, asked.shared, looks, "signature", mesh))
     found: list[Any] = [None] * index.size
     for view, values in each_view(asked, index, until, "signature", mesh):
@@ -268,7 +227,8 @@ def each_view(
         label: of the progress bar.
         devices: of `shared_by`; None for one.
     """
-    seen = jax.tree.map(np.asarray, (views.cameras, views.lacking))
+    eyes, cameras = jax.vmap(Camera.endless)(views.cameras), jax.tree.map(np.asarray, views.cameras)
+    seen = *jax.tree.map(np.asarray, (eyes, views.lacking)), chunks_of(views.shared, cameras)
 
     def looks_at(view: Int[np.ndarray, " look"], number: Int[np.ndarray, " look"]) -> Look:
         return Look(view, number, *jax.tree.map(lambda leaf: leaf[view], seen))
@@ -375,15 +335,3 @@ def _checked(
     away = as_float(distance, "distance")
     require([in_front("distance", away)])
     return aspect, enforce(nodes, [*checks, *path_doubts(scene, 1 / on_host(away)[1])]), away
-
-
-@program
-def view_intensity(shared: Shared, look: Look) -> tuple[Array, ...]:
-    """Intensity of one view, its error, the share left out, `Image.contrast` [band]; by component, with errors."""
-    lit, camera, key = shared.lit, look.camera, jax.random.fold_in(shared.key, look.view)
-    own = key, jnp.asarray(look.number, jnp.uint32), shared.strata, shared.method, parts_for()
-    taken = Pass(aimed(lit, camera), camera, *own, components=shared.components, lacking=look.lacking)
-    chunks = jax.tree.map(jnp.asarray, taken.chunks())
-    image = whole_image(taken, lax.map(lambda chunk: estimate_chunk(taken.of_chunks(), chunk), chunks))
-    parts = () if shared.components is None else (image.component_intensity(), image.component_error())
-    return image.radiant_intensity(), image.intensity_error(), image.truncation, image.contrast(), *parts

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 from jaxir._arrays import as_float, is_traced, placed
 from jaxir._math import dot, einsum, matmul, middles, safe_divide
 from jaxir._programs import program
-from jaxir.geometry import Brightness, Camera, Eye, Rays, camera_around, graded_camera, view_frame
+from jaxir.geometry import Brightness, Camera, Eye, Rays, camera_around, graded, rolled_camera, view_frame
 from jaxir.geometry.search import any_hit, face_normal
 from jaxir.optics.surface import AbstractBrdf
 from jaxir.scene import Lit
@@ -255,16 +255,15 @@ def _centres(cuts: int) -> np.ndarray:
 
 
 class _Outlook(NamedTuple):
-    """What cameras are made of, see `graded_camera`."""
+    """What cameras are made of, see `rolled_camera`."""
 
     extent: Float[Array, "corner 3"]
     shining: _Shining
-    shape: tuple[int, int]
     distance: Array
 
 
 def graded_cameras(lit: Lit, aspect: Float[Array, "view 2"], shape: tuple[int, int], distance: Any) -> Camera:
-    """Cameras [view] that hold the scene and are graded by its brightness, for intensities; see `graded_camera`.
+    """Cameras [view] that hold the scene and are graded by its brightness, for intensities; see `geometry._grading`.
 
     Args:
         lit: the scene on the nodes.
@@ -272,13 +271,14 @@ def graded_cameras(lit: Lit, aspect: Float[Array, "view 2"], shape: tuple[int, i
         shape: rows and columns.
         distance: from the middle of the scene to the sensor [m]; inf allowed.
     """
-    outlook = _Outlook(lit.scene.extent(), _shining_of(lit), shape, as_float(distance))
+    outlook = _Outlook(lit.scene.extent(), _shining_of(lit), as_float(distance))
     if is_traced((outlook, aspect)):
-        return _cameras(outlook, aspect, None)
+        return graded(*_cameras(outlook, aspect, None), shape)
     count, given = aspect.shape[0], np.asarray(aspect)
     more = -count % VIEWS
     found = _cameras(outlook, placed(np.pad(given, ((0, more), (0, 0)))), placed(np.arange(count + more) < count))
-    return jax.tree.map(lambda leaf: placed(np.asarray(leaf)[:count]), found)
+    cameras, upto = jax.tree.map(lambda leaf: placed(np.asarray(leaf)[:count]), found)
+    return graded(cameras, upto, shape)
 
 
 @program
@@ -287,16 +287,18 @@ def _shining_of(lit: Lit) -> _Shining:
 
 
 @program
-def _cameras(outlook: _Outlook, aspect: Float[Array, "view 2"], wanted: Bool[Array, " view"] | None) -> Camera:
-    """A camera for every aspect, zeros for those that are not wanted."""
-    extent, shining, shape, distance = outlook
+def _cameras(
+    outlook: _Outlook, aspect: Float[Array, "view 2"], wanted: Bool[Array, " view"] | None
+) -> tuple[Camera, Float[Array, "view 2 edge"]]:
+    """What `rolled_camera` finds for every aspect, zeros for those that are not wanted."""
+    extent, shining, distance = outlook
     alike = _bright(shining, None) if shining.gloss is None else None
 
-    def camera(aspect: Array) -> Camera:
+    def camera(aspect: Array) -> tuple[Camera, Array]:
         bright = alike
         if bright is None:
-            bright = _bright(shining, camera_around(view_frame(*aspect), extent, shape, distance).eye)
-        return graded_camera(aspect[0], aspect[1], extent, bright, shape, distance)
+            bright = _bright(shining, camera_around(view_frame(*aspect), extent, (1, 1), distance).eye)
+        return rolled_camera(aspect[0], aspect[1], extent, bright, distance)
 
     if wanted is None:
         return lax.map(camera, aspect)

@@ -7,7 +7,7 @@ import pytest
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.geometry import TILE, fitted_camera, view_frame
+from jaxir.geometry import TILE, fitted_camera, tile_points, view_frame
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 37.0, 180.0, -120.0])
@@ -24,8 +24,8 @@ def test_frames_are_right_handed_and_upright(azimuth, elevation, precision):
 @pytest.mark.parametrize("shape", [(16, 16), (20, 50), (1, 1), (33, 7)])
 def test_tiles_cover_the_image_once(shape):
     camera = jaxir.orthographic_camera(0.0, 0.0, 1.0, shape)
-    first = jnp.asarray(camera.first_pixels())
-    screen = camera.screen(first, jnp.full((len(first), TILE * TILE, 2), 0.5))
+    edges = jnp.asarray(camera.tile_edges())
+    screen = tile_points(edges, jnp.full((len(edges), TILE * TILE, 2), 0.5))
     image = np.asarray(camera.untile(screen))
     rows, columns = shape
     np.testing.assert_allclose(image[..., 0], np.broadcast_to(np.arange(columns) + 0.5 - columns / 2, shape))
@@ -37,7 +37,7 @@ def test_rays_of_a_pinhole_meet_at_the_eye(x64):
 
     @jax.jit
     def traced(camera):
-        screen = camera.screen(jnp.asarray(camera.first_pixels()), jnp.full((1, 256, 2), 0.5)).reshape(-1, 2)
+        screen = tile_points(jnp.asarray(camera.tile_edges()), jnp.full((1, 256, 2), 0.5)).reshape(-1, 2)
         return screen, camera.bundle(screen, as_float(5.0)).rays()
 
     screen, rays = jax.device_get(traced(camera))

@@ -6,7 +6,7 @@ import pytest
 
 import jaxir
 from jaxir._arrays import as_float
-from jaxir.geometry import Brightness, fitted_camera, graded_camera, view_frame
+from jaxir.geometry import Brightness, fitted_camera, graded, rolled_camera, view_frame
 from tests.scenes import box_mesh
 
 EXTENT = as_float(np.array([[0, y, z] for y in (-10, 10) for z in (-5, 5)]))
@@ -18,7 +18,12 @@ def _balls(centres: np.ndarray, radius: float, intensity: float) -> Brightness:
     return Brightness(*map(as_float, given))
 
 
-graded, fitted = jax.jit(graded_camera, static_argnums=4), jax.jit(fitted_camera, static_argnums=3)  # one program each
+rolled, fitted = jax.jit(rolled_camera), jax.jit(fitted_camera, static_argnums=3)  # one program each
+
+
+def graded_camera(azimuth, elevation, extent, brightness, shape, distance=np.inf):
+    one = jax.tree.map(lambda leaf: leaf[None], rolled(azimuth, elevation, extent, brightness, distance))
+    return jax.tree.map(lambda leaf: leaf[0], graded(*one, shape))
 
 
 def _area(camera):
@@ -28,7 +33,8 @@ def _area(camera):
 @pytest.mark.parametrize("distance", [np.inf, 30.0])
 def test_half_of_the_columns_and_rows_go_to_bright_balls(distance):
     """Of two side by side, which leave the image upright."""
-    camera = graded(0.0, 0.0, EXTENT, _balls(np.array([[0, 2.75, -2], [0, 3.25, -2]]), 0.25, 7.0), (64, 128), distance)
+    balls = _balls(np.array([[0, 2.75, -2], [0, 3.25, -2]]), 0.25, 7.0)
+    camera = graded_camera(0.0, 0.0, EXTENT, balls, (64, 128), distance)
     assert camera.grading is not None
     x, y = (np.convolve(edges, [0.5, 0.5], "valid") - 0.5 for edges in camera.grading)
     width, height = np.asarray(camera.pixel) * [128, 64]
@@ -40,7 +46,7 @@ def test_half_of_the_columns_and_rows_go_to_bright_balls(distance):
 
 def test_a_small_ball_aside_leaves_the_image_upright():
     """What it is spread is small beside the square of its way from the middle."""
-    camera = graded(0.0, 0.0, EXTENT, _balls(np.array([[0, 3, -2]]), 0.25, 7.0), (64, 128), np.inf)
+    camera = graded_camera(0.0, 0.0, EXTENT, _balls(np.array([[0, 3, -2]]), 0.25, 7.0), (64, 128), np.inf)
     np.testing.assert_allclose(camera.frame, fitted(0.0, 0.0, EXTENT, (64, 128), np.inf).frame, atol=1e-6)
 
 
@@ -62,7 +68,7 @@ def test_a_frame_holds_its_target_and_hardly_more(aside, distance):
 
 
 def test_nothing_bright_leaves_the_raster_even():
-    camera = graded(20.0, 10.0, EXTENT, _balls(np.array([[0, 3, -2]]), 0.25, 0.0), (5, 7))
+    camera = graded_camera(20.0, 10.0, EXTENT, _balls(np.array([[0, 3, -2]]), 0.25, 0.0), (5, 7))
     even = fitted(20.0, 10.0, EXTENT, (5, 7))
     np.testing.assert_allclose(_area(camera), _area(even), rtol=1e-5)
 
@@ -70,7 +76,7 @@ def test_nothing_bright_leaves_the_raster_even():
 def test_the_image_is_rolled_along_a_bright_bar():
     along = np.array([0, 2, 1]) / np.sqrt(5)
     bar = _balls(np.linspace(-8, 8, 21)[:, None] * along, 0.1, 1.0)
-    camera = graded(0.0, 0.0, EXTENT, bar, (16, 64))
+    camera = graded_camera(0.0, 0.0, EXTENT, bar, (16, 64))
     frame = np.asarray(camera.frame)
     assert abs(frame[0] @ along) == pytest.approx(1, abs=1e-5)
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-6)
@@ -84,7 +90,7 @@ def test_an_upright_plate_of_two_triangles_stays_upright(height):
     corners = as_float(square[np.array([[0, 1, 2], [0, 2, 3]])])
     nothing = _balls(np.zeros((1, 3)), 0.1, 0.0)
     bright = Brightness(corners, as_float(np.ones(2)), nothing.ends, nothing.radius, nothing.intensity)
-    camera = graded(0.0, 0.0, as_float(square), bright, (16, 16))
+    camera = graded_camera(0.0, 0.0, as_float(square), bright, (16, 16))
     np.testing.assert_allclose(camera.frame, view_frame(0.0, 0.0), atol=1e-6)
     even = fitted(0.0, 0.0, as_float(square), (16, 16))
     np.testing.assert_allclose(_area(camera), _area(even), rtol=0.02)

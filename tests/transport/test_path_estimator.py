@@ -152,8 +152,8 @@ def test_thinning_is_the_difference_of_the_phis(x64):
 
 @eqx.filter_jit
 def rays_of_a_tile(scene, camera, samples):
-    offset, first = pixel_samples(jax.random.key(3), 1, samples), jnp.asarray(camera.first_pixels())
-    bundle = tile_rays(camera, first, offset, scene.start(camera))
+    offset, edges = pixel_samples(jax.random.key(3), 1, samples), jnp.asarray(camera.tile_edges())
+    bundle = tile_rays(camera, edges, offset, scene.start(camera))
     return bundle, jnp.asarray(camera.pixel_index()).reshape(-1), camera.pixel_area()
 
 

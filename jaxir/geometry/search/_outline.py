@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxir._math import dot, radius_about
-from jaxir.geometry import TILE, Camera
+from jaxir.geometry import Camera
 from jaxir.geometry.search._bundles import extents, project_boxes, travel_of
 from jaxir.geometry.search._tree import FAR, WIDTH
 
@@ -48,14 +48,13 @@ def clear_of(boxes: Float[Array, "row 96"], points: Float[Array, "point 3"], cam
     )
 
 
-def may_see(boxes: Float[Array, "row 96"], camera: Camera, first: Float[Array, "tile 2"]) -> Bool[Array, " tile"]:
-    """Whether tiles of `Camera.first_pixels` may see what lies in the boxes; all of them where a box is at the eye."""
+def may_see(boxes: Float[Array, "row 96"], camera: Camera, edges: Float[Array, "tile 2 17"]) -> Bool[Array, " tile"]:
+    """Whether tiles of `Camera.tile_edges` may see what lies in the boxes; all of them where a box is at the eye."""
     before = front_of(boxes, camera.frame[2], camera.target) * camera.inverse_range < NEAREST
     travel = travel_of(camera.frame)
     seen = project_boxes(boxes, travel, dot(travel, -camera.target[None]), camera.inverse_range)
     left, right, bottom, top = (seen[None, :, k * WIDTH : (k + 1) * WIDTH] for k in range(4))
-    corner = jnp.zeros((first.shape[0], TILE * TILE, 2), seen.dtype)
-    ends = camera.screen(first, corner)[:, 0], camera.screen(first, corner + 1)[:, -1]
+    ends = edges[..., 0], edges[..., -1]
     begin, end = (side.T[:, :, None, None] for side in (jnp.minimum(*ends), jnp.maximum(*ends)))
     some = jnp.any((left <= end[0]) & (right >= begin[0]) & (bottom <= end[1]) & (top >= begin[1]), axis=(1, 2))
     return some | ~before

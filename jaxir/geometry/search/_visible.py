@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxir._programs import program
-from jaxir.geometry import TILE, Camera
+from jaxir.geometry import TILE, Camera, tile_points
 from jaxir.geometry.search._mesh import Mesh, closest_hit
 from jaxir.geometry.search._outline import clear_of
 from jaxir.geometry.search._tree import WIDTH
@@ -23,8 +23,8 @@ def visible_faces(mesh: Mesh, camera: Camera) -> Int[Array, "row column"]:
     Returns:
         Face [row, column]. Not differentiable.
     """
-    first = jnp.asarray(camera.first_pixels())
-    middle = jnp.full((first.shape[0], TILE * TILE, 2), 0.5, camera.pixel.dtype)
+    edges = jnp.asarray(camera.tile_edges())
+    middle = jnp.full((edges.shape[0], TILE * TILE, 2), 0.5, camera.pixel.dtype)
     start = clear_of(mesh.outline(WIDTH), mesh.vertices, camera)
-    hit = closest_hit(mesh, camera.bundle(camera.screen(first, middle).reshape(-1, 2), start))
+    hit = closest_hit(mesh, camera.bundle(tile_points(edges, middle).reshape(-1, 2), start))
     return camera.untile(hit.face.reshape(middle.shape[:2]))

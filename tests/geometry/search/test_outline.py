@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxir
-from jaxir.geometry import Grading, fitted_camera, pixel_samples
+from jaxir.geometry import Grading, fitted_camera, pixel_samples, tile_points
 from jaxir.geometry.search import WIDTH, closest_hit, front_of, may_see, outline
 from tests.geometry.search.bodies import sphere, torus
 from tests.scenes import box_mesh
@@ -46,7 +46,7 @@ def test_an_eye_among_the_boxes_but_outside_the_sphere_of_the_vertices_still_has
         camera = eqx.tree_at(lambda c: c.target, camera, jnp.zeros(3))
         front = front_of(scene.outline(WIDTH), camera.frame[2], jnp.zeros(3))
         away = eqx.tree_at(lambda c: c.pixel, camera, camera.pixel * 10)  # a box at the eye may be seen anywhere
-        return scene.start(camera), front, may_see(scene.outline(), away, jnp.asarray(away.first_pixels()))
+        return scene.start(camera), front, may_see(scene.outline(), away, jnp.asarray(away.tile_edges()))
 
     start, front, seen = map(np.asarray, looked())
     assert reach < start < 1.005 * reach < front
@@ -66,11 +66,11 @@ def test_rays_of_tiles_that_see_nothing_meet_nothing(distance, graded):
         if graded:
             grading = Grading(*map(jnp.float32, edges))
             camera = eqx.tree_at(lambda c: c.grading, camera, grading, is_leaf=lambda x: x is None)
-        first = jnp.asarray(camera.first_pixels())
-        offset = pixel_samples(key, len(first), 8).reshape(8, len(first), -1, 2)
-        screen = jax.vmap(lambda o: camera.screen(first, o))(offset)
+        tiles = jnp.asarray(camera.tile_edges())
+        offset = pixel_samples(key, len(tiles), 8).reshape(8, len(tiles), -1, 2)
+        screen = jax.vmap(lambda o: tile_points(tiles, o))(offset)
         bundle = camera.bundle(screen.reshape(-1, 2), jnp.asarray(8.0))
-        return may_see(mesh.outline(4096), camera, first), bundle
+        return may_see(mesh.outline(4096), camera, tiles), bundle
 
     some, bundle = looked(np.float32(distance), jax.random.key(0))
     some, hit = np.asarray(some), np.asarray(closest_hit(mesh, bundle).face) >= 0
