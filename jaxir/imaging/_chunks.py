@@ -166,7 +166,10 @@ class Pass(NamedTuple):
 
     def chunks(self) -> Chunk:
         """The chunks, stacked."""
-        tile = self.numbers
+        return self.holding(self.numbers)
+
+    def holding(self, tile: Int[np.ndarray, "chunk tile"]) -> Chunk:
+        """Chunks of tiles, stacked."""
         number = np.arange(len(tile), dtype=np.int32)
         return Chunk(number, self.camera.tile_edges(tile), tile < self.tiles)
 

@@ -76,16 +76,14 @@ def view_intensity(shared: Shared, look: Look) -> tuple[Array, ...]:
 
 def chunks_of(shared: Shared, cameras: Camera) -> Chunk:
     """Chunks of all views [view, chunk, ...]."""
-
-    def edges_of(camera: Camera) -> Any:
-        return camera.tile_edges(tile)
-
     one = Pass(shared.lit, cameras, shared.key, as_number(0), shared.strata, shared.method, parts_for())
-    view, tile = range(cameras.frame.shape[0]), one.spread(one.parts)
+    tile = one.spread(one.parts)
+
+    def of_view(camera: Camera) -> Chunk:
+        return one._replace(camera=camera).holding(tile)
+
     if is_traced(cameras):
-        edges = jax.vmap(edges_of)(cameras)
-    else:
-        edges = np.stack([edges_of(jax.tree.map(lambda leaf, k=k: leaf[k], cameras)) for k in view])
-    alike = np.arange(len(tile), dtype=np.int32), tile < one.tiles
-    number, there = (np.broadcast_to(leaf, (len(view), *leaf.shape)) for leaf in alike)
-    return Chunk(number, edges, there)
+        return jax.vmap(of_view)(cameras)
+    views = range(cameras.frame.shape[0])
+    every = [of_view(jax.tree.map(lambda leaf, k=k: leaf[k], cameras)) for k in views]
+    return jax.tree.map(lambda *own: np.stack(own), *every)
